@@ -18,17 +18,16 @@ from rtee.hand.files import failing
 from rtee.log.brief import DIGEST, INDEX_ENTRY, SECOND
 from rtee.log.record_scanner import (
     DAMAGE,
-    HEAD,
     LATEST,
     MAGIC,
     DamagedRecordError,
     Record,
     messages_of,
     parsed,
-    records_of,
     scan,
 )
 from rtee.log.rotation import METADATA, being_written
+from rtee.messages.mcap_chunk import HEAD, records_of
 
 _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 _INDEX_HEAD = struct.Struct("<HI")

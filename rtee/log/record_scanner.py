@@ -16,12 +16,9 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk, McapRecord
 
-from rtee.messages.mcap_chunk import LARGEST_CHUNK, DamagedChunkError, decompressed
+from rtee.messages.mcap_chunk import HEAD, LARGEST_CHUNK, DamagedChunkError, decompressed
 
 MAGIC = b"\x89MCAP0\r\n"
-
-HEAD = struct.Struct("<BQ")
-"""Layout of the head of a record: opcode and length of the content."""
 
 DAMAGE = 0
 """Stands for the opcode of bytes that are no record; no record has this one."""
@@ -275,14 +272,3 @@ def messages_of(content: bytes) -> tuple[bytes, Chunk]:
         return decompressed(chunk), chunk
     except DamagedChunkError as error:
         raise DamagedRecordError(str(error)) from None
-
-
-def records_of(data: bytes, *opcodes: int) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and content of the records of some kinds, such as those in a chunk."""
-    position = 0
-    while position + HEAD.size <= len(data):
-        opcode, length = HEAD.unpack_from(data, position)
-        position += HEAD.size
-        if opcode in opcodes:
-            yield opcode, data[position : position + length]
-        position += length

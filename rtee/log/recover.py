@@ -19,10 +19,11 @@ from rtee.log.digest import lines_of
 from rtee.log.file_index import FileIndex, damaged_chunks, index_file
 from rtee.log.mcapfile import McapFile, Preamble
 from rtee.log.reader import read_indexed
-from rtee.log.record_scanner import HEAD, DamagedRecordError, messages_of
+from rtee.log.record_scanner import DamagedRecordError, messages_of
 from rtee.log.rotation import OPEN, being_written
 from rtee.messages import topics
 from rtee.messages.codec import SECOND
+from rtee.messages.mcap_chunk import HEAD
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,15 @@ gives.
 
 from __future__ import annotations
 
+import struct
 import zlib
+from collections.abc import Iterator
 
 import zstandard
 from mcap.records import Chunk
+
+HEAD = struct.Struct("<BQ")
+"""Layout of the head of a record: opcode and length of the content."""
 
 LARGEST_CHUNK = 1 << 27
 """Largest uncompressed size of a chunk that is accepted [bytes]: 128 MiB, a hundred times that of
@@ -38,6 +43,17 @@ def decompressed(chunk: Chunk) -> bytes:
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise DamagedChunkError("a chunk fails its checksum")
     return data
+
+
+def records_of(data: bytes, *opcodes: int) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of the records of some kinds, such as those in a chunk."""
+    position = 0
+    while position + HEAD.size <= len(data):
+        opcode, length = HEAD.unpack_from(data, position)
+        position += HEAD.size
+        if opcode in opcodes:
+            yield opcode, data[position : position + length]
+        position += length
 
 
 def _expanded(chunk: Chunk, size: int) -> bytes:

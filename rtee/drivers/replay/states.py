@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rtee.errors import LogError, MessageError
 from rtee.messages import convert
 from rtee.messages.codec import channels_of
-from rtee.messages.mcap_chunk import decompressed
+from rtee.messages.mcap_chunk import HEAD, decompressed, records_of
 from rtee.messages.schema import MessageType, message_type, recorded_type
 from rtee.messages.tick_columns import decode_ticks
 from rtee.messages.topics import (
@@ -45,9 +45,6 @@ Extras = Mapping[str, FloatArray]
 _DAMAGE = (McapError, struct.error, ValueError, EOFError, OverflowError, MemoryError)
 """Exceptions for damaged bytes: those of the mcap package, of decompression, and of sizes beyond
 any memory."""
-
-_HEAD = struct.Struct("<BQ")
-"""Layout of the head of a record: opcode and length."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +144,7 @@ class RecordedStates:
                 known = place.message_index_offsets
                 if known and (channels.keys() | packed).isdisjoint(known):
                     continue
-                self._file.seek(place.chunk_start_offset + _HEAD.size)
+                self._file.seek(place.chunk_start_offset + HEAD.size)
                 data = decompressed(Chunk.read(ReadDataStream(self._file)))
                 for message in _messages_in(data, channels, packed):
                     channel = channels[message.channel_id]
@@ -233,19 +230,14 @@ def _messages_in(
     A message of a ``packed`` channel holds many ticks, column by column, and replaces the single
     messages of their channels.
     """
-    messages, position = [], 0
+    messages: list[Message] = []
     ticks: list[Message] = []
-    while position + _HEAD.size <= len(data):
-        opcode, length = _HEAD.unpack_from(data, position)
-        position += _HEAD.size
-        if opcode == Opcode.MESSAGE:
-            content = ReadDataStream(BytesIO(data[position : position + length]))
-            message = Message.read(content, length)
-            if message.channel_id in channels:
-                messages.append(message)
-            elif message.channel_id in packed:
-                ticks += _messages_in(decode_ticks(message.data)[0].tobytes(), channels)
-        position += length
+    for _, content in records_of(data, Opcode.MESSAGE):
+        message = Message.read(ReadDataStream(BytesIO(content)), len(content))
+        if message.channel_id in channels:
+            messages.append(message)
+        elif message.channel_id in packed:
+            ticks += _messages_in(decode_ticks(message.data)[0].tobytes(), channels)
     whole = {message.channel_id for message in ticks}
     messages = [each for each in messages if each.channel_id not in whole] + ticks
     return sorted(messages, key=lambda message: message.log_time)
