@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -21,9 +22,6 @@ from rtee.cli._common import (
 )
 from rtee.errors import ConfigError, needing_extra
 from rtee.hand.config_schema import Lines
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 def _complete_driver(incomplete: str) -> list[str]:

@@ -7,9 +7,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from rtee.buses.bus import Bus
+from rtee.buses.emulator import Emulator
 from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.hold_on_attach import Attached
@@ -19,9 +20,6 @@ from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, Not
 from rtee.objects.description import ObjectDescription
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
-
-if TYPE_CHECKING:
-    from rtee.buses.emulator import Emulator
 
 B = TypeVar("B", bound=Bus)
 L = TypeVar("L")

@@ -8,7 +8,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import structs
@@ -38,10 +37,8 @@ from rtee.hand.transmission import Transmission, check_mimics, make_transmission
 from rtee.hand.urdf import Urdf, UrdfJoint
 from rtee.hand.urdfread import Edit, read_urdf
 from rtee.hand.whole_robot import arm_joints
+from rtee.hand.yamlfile import YamlDocument
 from rtee.types import ActuatorSpec, JointKind, readonly
-
-if TYPE_CHECKING:
-    from rtee.hand.yamlfile import YamlDocument
 
 _MODELS = {".urdf": "--urdf", ".xacro": "--urdf", ".xml": "--mjcf"}
 """Files given in place of a hand, and the option that makes a hand of each."""
