@@ -48,6 +48,7 @@ HELP = {
     "rounds": "number of rounds, in which all cases are measured by turns",
     "sample": "take every n-th pinch only",
     "seconds": "length of each measurement [s]",
+    "seed": "seed of the variations",
     "slow": "additional time of a flush to the disk in an overload [s]",
     "still": "least motion that counts [rad | m]",
     "tries": "number of times each thing is done",

@@ -142,7 +142,17 @@ def _checked(name: str, library: ActionLibrary, target: GraspObject, ranking: Ra
 
 
 def _show(ranking: Ranking, top: int) -> None:
-    columns = ("action", "score", "intensity", "pre-shape", "effort", "load", "quality", "dynamics")
+    columns = (
+        "action",
+        "score",
+        "intensity",
+        "pre-shape",
+        "effort",
+        "force",
+        "load",
+        "quality",
+        "dynamics",
+    )
     rows = [
         Row(
             (
@@ -151,6 +161,7 @@ def _show(ranking: Ranking, top: int) -> None:
                 f"{plan.intensity:.0%}",
                 f"{plan.preshape:.0%}",
                 f"{plan.effort:.0%}",
+                "" if plan.force is None else f"{plan.force:.3g} N",
                 f"{plan.load:.1f}",
                 f"{plan.quality:.3f}",
                 "" if plan.check is None else "held" if plan.check.held else "lost",
@@ -179,7 +190,11 @@ def _show(ranking: Ranking, top: int) -> None:
             f"it must overhang the table's edge by {first.overhang * 1e3:.0f} mm; the edge "
             f"runs along y of: {_words(first.table or first.pose)}, in the object's frame"
         )
-    if first.action:
+    if first.force is not None:
+        asked = f"--width {first.width * 1e3:.3g}mm --force {first.force:.3g}N"
+        words = " ".join((asked, "--action", first.action, *first.elements))
+        print(f"to do it: rtee grasp {words}")
+    elif first.action:
         words = " ".join((first.action, *first.elements))
         effort = f" --effort {first.effort:.0%}" if first.effort < 1.0 else ""
         print(f"to do it: rtee do {words} --intensity {first.intensity:g}{effort}")

@@ -35,6 +35,7 @@ class PoseCandidate:
         opening: How far apart they are at rest [m].
         start: Step of the action's path at which the hand approaches, and from which it closes.
         raised: Whether it was moved once already, so that the closing hand clears the table.
+        centred: Whether it was moved to where the fingers meet, if they wait for one another.
     """
 
     pose: FloatArray
@@ -43,6 +44,7 @@ class PoseCandidate:
     opening: float
     start: int = 0
     raised: bool = False
+    centred: bool = False
 
 
 @dataclass(slots=True)

@@ -3,14 +3,17 @@
 The object is pushed by what touches it, without turning, until the forces of the contacts can
 balance, friction included. Then the actuators of the links that touch stand still, and the others
 go on until they touch, too, or are at the action's end: an actuator stalls where its link is
-blocked, as those of a real hand do.
+blocked, as those of a real hand do. In a grasp with a force, fingers do not push: what touches
+first stands still at once, until the others touch.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -170,6 +173,8 @@ class HandClosing:
         scene: The hand and the object.
         path: The action's path.
         friction: Coefficient of friction between the hand and the object.
+        waits: Whether fingers that touch the object wait until the others touch it, as in a grasp
+            with a force; otherwise they push it on.
         grid: Intensities of the table ``(STEPS + 1,)``.
         table: Poses of the hand at these.
         frames: Poses of the bodies at `TICKS` intensities and rest ``(TICKS + 1, m + 1, 4, 4)``.
@@ -180,6 +185,7 @@ class HandClosing:
     def __init__(self, scene: GraspScene, path: ActionPath, friction: float) -> None:
         """Make the table."""
         self.scene, self.path, self.friction = scene, path, friction
+        self.waits = False
         self.grid: FloatArray = np.linspace(0.0, 1.0, STEPS + 1)
         postures = scene.postures
         table = postures.frames(path.along(self.grid))
@@ -189,6 +195,13 @@ class HandClosing:
         # Absolute values, so that joints which move against each other do not cancel.
         drive = postures.carried @ np.abs(scene.hand.transmission.jacobian(path.at(1.0))) > 0.0
         self.drives: BoolArray = drive & path.moving
+
+    @cached_property
+    def waiting(self) -> HandClosing:
+        """The same, with fingers that wait for one another."""
+        other = copy.copy(self)
+        other.waits = True
+        return other
 
     def close(self, pose: FloatArray, start: int) -> Closure | None:
         """Close on an object; see `close_all`."""
@@ -238,7 +251,9 @@ class _HandBatch:
     def closed(self) -> list[Closure | None]:
         """Return the closed hands."""
         self._until_contact()
-        rows = self._until_opposed()
+        waits = np.array([closing.waits for closing in self._closings])
+        opposed = self._until_opposed(np.flatnonzero(~waits))
+        rows = np.sort(np.concatenate([opposed, np.flatnonzero(waits)]))
         found: list[Closure | None] = [None] * len(self._closings)
         if len(rows):
             for row, closure in zip(rows.tolist(), self._rest_closed(rows), strict=True):
@@ -266,9 +281,9 @@ class _HandBatch:
             self._go(rows, ticks)
             rows = rows[self._ticks[rows] < TICKS]
 
-    def _until_opposed(self) -> Slots:
-        """Close the hands until contacts oppose each other; return in which rows they do."""
-        rows, pace = np.arange(len(self._closings)), self._fastest / TICKS
+    def _until_opposed(self, rows: Slots) -> Slots:
+        """Close hands until contacts oppose each other; return in which rows they do."""
+        pace = self._fastest / TICKS
         start, done = self._near.places.copy(), [np.zeros(0, dtype=np.intp)]
         while len(rows):
             self._push(rows)
@@ -331,12 +346,17 @@ class _HandBatch:
         # Forces alone: an object that does not turn needs no balance of torques.
         return balanced(cones(normals, self._friction).reshape(-1, 3))
 
-    def _rest_closed(self, rows: Slots) -> list[Closure]:
-        """Move on the actuators that are not blocked, where contacts oppose each other."""
+    def _rest_closed(self, rows: Slots) -> list[Closure | None]:
+        """Move on the actuators that are not blocked.
+
+        Returns:
+            The closed hands; ``None`` where the contacts do not oppose each other at the end.
+        """
         paths = [self._closings[row].path for row in rows.tolist()]
         drives = np.array([self._closings[row].drives for row in rows.tolist()])
         touches = [self._touches[row] for row in rows.tolist()]
         there = [{touch.shape for touch in found} for found in touches]
+        facing = [self._facing[row] for row in rows.tolist()]
         first: FloatArray = self._ticks[rows] / TICKS
         s = first.copy()
         shares = np.repeat(s[:, None], drives.shape[2], axis=1)
@@ -357,6 +377,8 @@ class _HandBatch:
                 touches[k] += new
                 for touch in new:
                     blocked[k] |= drives[k, touch.shape]
+                if new and not facing[k]:
+                    facing[k], first[k] = self._opposed(touches[k]), s[k]
             least = self._near.least(
                 self._at,
                 1.0,
@@ -377,6 +399,8 @@ class _HandBatch:
             left = left[(s[left] < 1.0) & ~blocked[left].all(axis=1)]
         return [
             self._closure(row, float(first[k]), shares[k], blocked[k], touches[k])
+            if facing[k]
+            else None
             for k, row in enumerate(rows.tolist())
         ]
 

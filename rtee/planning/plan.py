@@ -13,9 +13,9 @@ from rtee.hand.model import Hand
 from rtee.objects.shape import Table
 from rtee.planning.composition import composed_for
 from rtee.planning.objects import GraspObject, read_object
-from rtee.planning.planner import FRICTION, Planner
+from rtee.planning.planner import FRICTION, JAWS, Planner
 from rtee.planning.result import GraspPlan, Ranking
-from rtee.planning.table import share_held
+from rtee.planning.table import Closing
 
 GOOD: Final = 0.6
 """Score of a grasp that is good enough: above, nothing is composed for the object."""
@@ -80,7 +80,7 @@ def plan_grasps(
             argument is invalid.
         ModelError: if a mesh of the hand cannot be read.
     """
-    planner = Planner(hand, obj, friction, weight_axis, table)
+    planner = Planner(hand, obj, friction, weight_axis, table, library.openings)
     if not len(library):
         raise ConfigError(
             f"hand '{hand.name}' has no actions; find its primitives first: "
@@ -94,14 +94,29 @@ def plan_grasps(
         planner.ground.edge = True
         plans, rejected = _planned(planner, library, compose)
     if planner.ground is not None:
-        # In the same order: the larger the score, the larger the share.
-        plans = [replace(p, score=share_held(len(hand.fingers), p.score)) for p in plans]
+        uneven = any(planner.sides_wait(action) for action in library)
+        closings = [_closing(hand, plan, uneven=uneven) for plan in plans]
+        plans = [
+            replace(plan, score=closing.share_held(plan.score))
+            for plan, closing in zip(plans, closings, strict=True)
+        ]
+        # The order within each kind of closing stays.
+        if uneven:
+            plans.sort(key=lambda plan: -plan.score)
     if not plans and planner.too_wide:
         raise ConfigError(
             f"'{obj.name}' does not fit: width {planner.narrowest * 1e3:.0f} mm, the hand opens "
             f"to {planner.widest * 1e3:.0f} mm"
         )
     return planner.ranking(plans, rejected)
+
+
+def _closing(hand: Hand, plan: GraspPlan, *, uneven: bool) -> Closing:
+    if plan.force is not None:
+        return Closing.WAITING
+    if uneven:
+        return Closing.UNEVEN
+    return Closing.JAWS if len(hand.fingers) <= JAWS else Closing.FINGERS
 
 
 def _planned(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from rtee import values
 from rtee.actions.naming import label
-from rtee.actions.openings import MARGIN
+from rtee.actions.openings import MARGIN, Opening, Openings
 from rtee.actions.types import Action, PrimitiveKind, Timed, kind_of
 from rtee.errors import ConfigError
 from rtee.hand.frames import base_in_flange, flange_with
@@ -44,6 +44,10 @@ the best forces they could share; the forces of fingers that close on a standing
 these. Of grasps that carry 3 to 6 times the weight, 1 of 54 held; of those that carry 6 to 20
 times, 30 of 70; and beyond, 47 of 64."""
 
+_SAFETY_OF_FORCE: Final = 10.0
+"""Multiple of the weight that the force between fingertips carries, if the hand is strong enough:
+with 3, fingers that meet an object askew lose it."""
+
 _POSES: Final = 120
 """Poses of the object that are tried for a hand, shared by its actions."""
 
@@ -72,9 +76,12 @@ _JUDGED: Final = 12
 _GOOD_QUALITY: Final = 0.05
 """Quality that counts half [N/N]: two soft fingers at friction 0.5 have 0.04, a wrap 0.1 to 0.3."""
 
-_SHAKEN: Final = 2.4 * np.vstack([np.eye(3), -np.eye(3)])
-"""Accelerations of a carried object, one at a time ``(6, 3)`` [m/s²]: an arm stops, and
-`rtee try` shakes it, 15 mm to either side at 2 Hz."""
+_SHAKING: Final = 2.4
+"""Acceleration of a carried object [m/s²]: an arm stops, and `rtee try` shakes it, 15 mm to either
+side at 2 Hz."""
+
+_SHAKEN: Final = _SHAKING * np.vstack([np.eye(3), -np.eye(3)])
+"""Such accelerations along each axis, one at a time ``(6, 3)`` [m/s²]."""
 
 _HALF_PLACE: Final = 5.1e-5
 """Scores are rounded to four places: one lower by no more than this may count as equal."""
@@ -91,13 +98,26 @@ _CLEAR: Final = 1e-3
 _FAR: Final = 0.05
 """Largest clearance that is computed exactly [m]."""
 
+_FORCE: Final = 0.6
+"""Largest share of the strongest force between fingertips that is planned with. The rest keeps the
+posture: at 0.9, a LinkerHand L10's index pushed its thumb back as soon as the table no longer
+helped, at 0.6 and less never."""
+
+_OBLIQUE: Final = (0.4, 0.7)
+"""Cosines between a fingertip's motion and the normal of its contact: below the first, 66 degrees,
+it slides along the object instead of pressing on it; above the second, 45 degrees, it presses."""
+
+_MEETING: Final = 0.3
+"""Share by which a grasp is worse if fingers of one side meet one another before the object: each
+takes the other for the object, and waits."""
+
 _PUSHED: Final = 0.015
 """Distance over which fingers push a standing object that halves the grasp's score [m]."""
 
 _MISSED: Final = 4
 """Exponent of the share of nearby places held: one miss in twelve costs 30 % of the score."""
 
-_JAWS: Final = 2
+JAWS: Final = 2
 """Fingers that oppose each other, with equal forces."""
 
 _MOST_CONTACTS: Final = 32
@@ -130,7 +150,6 @@ class Planner:
         out: The axis ``(3,)`` of the base frame along which the hand reaches out.
         turns: The turns ``(3, 3)`` of the object that look different.
         ground: The table on which it stands, if there is one.
-        safety: Multiple of the weight above which the load does not limit a grasp.
     """
 
     def __init__(
@@ -140,13 +159,17 @@ class Planner:
         friction: float = FRICTION,
         weight_axis: Sequence[float] | None = None,
         table: Table | None = None,
+        openings: Openings | None = None,
     ) -> None:
-        """Read the geometry; see `plan_grasps`."""
+        """Read the geometry; see `plan_grasps`.
+
+        With ``openings``, actions whose sides have motors of their own grasp with a force.
+        """
         if not 0.0 < (values.number(friction) or 0.0) <= 10.0:
             raise ConfigError(f"a friction must be above 0 and at most 10, not {friction!r:.100}")
         if not isinstance(table, Table | None):
             raise ConfigError(f"a table is a Table(…), not {table!r:.100}")
-        self.hand, self.obj = hand, obj
+        self.hand, self.obj, self._openings = hand, obj, openings
         self.scene = GraspScene(hand, obj)
         self.out = outward(self.scene)
         axis = self.out
@@ -163,8 +186,7 @@ class Planner:
                     "or a weight axis"
                 )
             self.ground = Ground(self.scene, table, self.task.weight_axis)
-        self._firm = self.ground is not None and len(hand.fingers) > _JAWS
-        self.safety = _SAFETY_OF_FINGERS if self._firm else SAFETY
+        self._firm = self.ground is not None and len(hand.fingers) > JAWS
         self.turns = orientations(obj, None if self.ground is None else self.ground.up)
         self.too_wide, self.widest, self.narrowest = True, 0.0, math.inf
 
@@ -250,7 +272,7 @@ class Planner:
         found: list[list[FoundGrasp] | str] = []
         for begin in range(0, len(actions), _TOGETHER):
             some = [self._search(action, most) for action in actions[begin : begin + _TOGETHER]]
-            search_together(self.scene, some, self.promise)
+            search_together(self.scene, some, self._hope)
             found += [self._found(search) for search in some]
         return found
 
@@ -262,8 +284,38 @@ class Planner:
             poses = Poses(self.scene, closing, action, self.out, self.ground)
         candidates = iter(()) if poses is None else poses.search(self.turns, most)
         return Search(
-            action, closing, poses, candidates, max(_ENOUGH, most // 2), ground=self.ground
+            action,
+            closing,
+            poses,
+            candidates,
+            max(_ENOUGH, most // 2),
+            ground=self.ground,
+            opening=self._pressing(action),
+            meets=self._meeting(action),
         )
+
+    def _meeting(self, action: Action) -> Mapping[str, float]:
+        found = None if self._openings is None else self._openings.meeting(action)
+        return found or {}
+
+    def sides_wait(self, action: Action) -> bool:
+        """Return whether an action grasps with a force, one side waiting for the other."""
+        return self._pressing(action) is not None
+
+    def _pressing(self, action: Action) -> Opening | None:
+        """Return the opening of an action, if each side has a motor of its own.
+
+        Only then can one side wait for the other, and press with the same force.
+        """
+        opening = "" if self._openings is None else self._openings.find(action)
+        if isinstance(opening, str):
+            return None
+        actuators = [self.hand.actuator(name) for name in opening.actuators]
+        if not all(math.isfinite(actuator.effort) for actuator in actuators):
+            return None
+        moved = [set(actuator.fingers) for actuator in actuators]
+        sides = [set(side) for side in opening.sides]
+        return opening if all(_moved_alone(side, sides, moved) for side in sides) else None
 
     def _found(self, search: Search) -> list[FoundGrasp] | str:
         """Return the most promising grasps that a search has found, or why there is none."""
@@ -316,6 +368,36 @@ class Planner:
         links = len(by_link)
         return 4.0 * balanced(found) + min(links, 6) / 6.0 + (1.0 - min(1.0, off / self.obj.length))
 
+    def _hope(self, search: Search, closure: Closure) -> float:
+        """Return how good a grasp promises to be, and how squarely its sides press."""
+        return self.promise(closure) + 2.0 * self._squareness(search, closure)
+
+    def _waited(self, grasp: FoundGrasp) -> float:
+        """Return the share by which a grasp with a force is worse than its forces suggest."""
+        least, enough = _OBLIQUE
+        square = self._squareness(grasp.search, grasp.closure)
+        pressing = min(1.0, max(0.0, (square - least) / (enough - least)))
+        first = grasp.search.meet_first(grasp.candidate.width)
+        return pressing * (_MEETING if first else 1.0)
+
+    def _squareness(self, search: Search, closure: Closure) -> float:
+        """Return the least cosine between a side's motion and the normal of its contact.
+
+        Of each side, the finger that presses most squarely counts; 0 without an opening.
+        """
+        if search.opening is None:
+            return 0.0
+        knots = search.closing.path.knots
+        maps = self.scene.torques(closure.u, closure.contacts)
+        motions = np.einsum("kaj,a->kj", maps, knots[-1] - knots[0])
+        normals = np.array([contact.normal for contact in closure.contacts])
+        sizes = np.maximum(np.linalg.norm(motions, axis=1), 1e-9)
+        cosines = np.einsum("kj,kj->k", motions, normals) / sizes
+        best = dict.fromkeys(search.opening.fingers, 0.0)
+        for contact, cosine in zip(closure.contacts, cosines.tolist(), strict=True):
+            best[contact.finger] = max(best.get(contact.finger, 0.0), cosine)
+        return min(max(best[finger] for finger in side) for side in search.opening.sides)
+
     def _centre(self, closure: Closure) -> FloatArray:
         return closure.pose[:3, :3] @ self.obj.centre + closure.pose[:3, 3]
 
@@ -352,6 +434,8 @@ class Planner:
         highest = _score(1.0, ball, off)
         if highest < wanted:
             return None
+        by_force = grasp.search.by_force(candidate.width)
+        safety = _SAFETY_OF_FINGERS if self._firm and not by_force else SAFETY
         efforts = self._efforts(closure, contacts, found)
         weights = np.zeros((1 + len(_SHAKEN), 6))
         top = (
@@ -362,17 +446,23 @@ class Planner:
         down = self.task.weight_axis if top is None else -top.up
         weights[:, :3] = self.obj.mass * GRAVITY * down
         weights[1:, :3] += self.obj.mass * _SHAKEN
-        least_load = self.safety * wanted / highest
-        held = load(found, efforts, weights, least_load) / self.safety
+        held = load(found, efforts, weights, safety * wanted / highest) / safety
+        strongest = self._strongest(grasp)
+        if by_force:
+            held = min(held, self._lifted(_FORCE * strongest) / safety)
         score = _score(held, ball, off)
         if round(score, 4) < least:
             return None
+        if by_force:
+            score *= self._waited(grasp)
         if self._firm:
             score *= _firmness(grasp)
-            if round(score, 4) < least:
-                return None
+        if round(score, 4) < least:
+            return None
         times = load(found, efforts, weights[0])
         preshape, opening, clearance = self._before(grasp)
+        most, needed = (_FORCE, _SAFETY_OF_FORCE) if by_force else (1.0, safety)
+        effort = round(min(most, max(0.05, needed / times)) if times > 0.0 else most, 2)
         x, y, z = (float(v) for v in candidate.approach_from)
         kind = kind_of(action)
         plan = GraspPlan(
@@ -386,7 +476,8 @@ class Planner:
             preshape=preshape,
             opening=round(opening, 4),
             width=round(candidate.width, 4),
-            effort=round(min(1.0, max(0.05, self.safety / times)) if times > 0.0 else 1.0, 2),
+            effort=effort,
+            force=round(effort * strongest, 2) if by_force else None,
             load=round(times, 2),
             quality=round(ball, 4),
             clearance=round(clearance, 4),
@@ -399,6 +490,16 @@ class Planner:
             overhang=0.0 if top is None else round(top.overhang, 4),
         )
         return self._mounted(plan, candidate.pose, candidate.approach_from, points)
+
+    def _strongest(self, grasp: FoundGrasp) -> float:
+        """Return the strongest force between the fingertips [N]; 0 without an opening."""
+        opening = grasp.search.opening
+        at = 0.0 if opening is None else opening.intensity_at(grasp.candidate.width)
+        return 0.0 if opening is None else opening.strongest(self.hand, at)
+
+    def _lifted(self, force: float) -> float:
+        """Return the load that two sides carry by friction, as a multiple of the shaken weight."""
+        return 2.0 * self.task.friction * force / (self.obj.mass * (GRAVITY + _SHAKING))
 
     def _mounted(
         self, plan: GraspPlan, pose: FloatArray, approach_from: FloatArray, points: FloatArray
@@ -542,9 +643,15 @@ def _firmness(grasp: FoundGrasp) -> float:
     Fingers that push the object far, or miss it when it is slightly misplaced, upset it.
     """
     push = float(np.linalg.norm(grasp.closure.pose[:3, 3] - grasp.candidate.pose[:3, 3]))
-    near = closed_nearby(grasp.search.closing, grasp.candidate)
+    near = closed_nearby(grasp.closing, grasp.candidate)
     held = sum(closure is not None for closure in near) / len(near)
     return held**_MISSED / (1.0 + (push / _PUSHED) ** 2)
+
+
+def _moved_alone(side: set[str], sides: Sequence[set[str]], moved: Iterable[set[str]]) -> bool:
+    """Return whether a motor moves fingers of one side only, given the fingers of each motor."""
+    others = set[str]().union(*(other for other in sides if other is not side))
+    return any(fingers & side and not fingers & others for fingers in moved)
 
 
 def _least_quality(score: float, off: float) -> float:

@@ -6,18 +6,24 @@ searches proceed in rounds: the next requests of all of them are answered at onc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
+from rtee.actions.openings import Opening
 from rtee.actions.types import Action
-from rtee.planning.approaches import Approach, Found, PoseCandidate, bring_in
+from rtee.planning.approaches import GAP, Approach, Found, PoseCandidate, bring_in
 from rtee.planning.closing import Closure, HandClosing, close_all
+from rtee.planning.distance_bounds import DistanceBounds
 from rtee.planning.poses import Poses
 from rtee.planning.scene import GraspScene
 from rtee.planning.table import Ground
 from rtee.sample import FloatArray
+
+_SHARES: Final = (0.0, 0.1, 0.3, 1.0)
+"""Shares of an approach at which a moved object must be free, closer together near its end."""
 
 
 @dataclass
@@ -35,6 +41,9 @@ class Search:
         tried: How many poses were tried.
         ground: The table to keep clear of, if there is one.
         blocked: Whether the ground ruled out a grasp.
+        opening: Opening of the action, if its sides can press with a force: then fingers wait for
+            one another.
+        meets: Intensity at which the empty hand may touch itself, by actuator of the action.
     """
 
     action: Action
@@ -47,6 +56,23 @@ class Search:
     tried: int = 0
     ground: Ground | None = None
     blocked: bool = False
+    opening: Opening | None = None
+    meets: Mapping[str, float] = field(default_factory=dict)
+
+    def by_force(self, width: float) -> bool:
+        """Return whether an object of a width [m] is grasped with a force between the fingers."""
+        opening = self.opening
+        return opening is not None and opening.narrowest + opening.error < width < opening.widest
+
+    def meet_first(self, width: float) -> bool:
+        """Return whether fingers may meet one another before an object of a width [m]."""
+        if self.opening is None:
+            return False
+        return min(self.meets.values(), default=1.0) < self.opening.intensity_at(width)
+
+    def closing_on(self, candidate: PoseCandidate) -> HandClosing:
+        """Return what closes the hand at a pose, once the object is where it stays."""
+        return self.closing.waiting if self.by_force(candidate.width) else self.closing
 
     def next(self) -> Approach | list[PoseCandidate]:
         """Return the poses to try next, or the approach on which these depend.
@@ -87,11 +113,16 @@ class FoundGrasp:
     closure: Closure
     promise: float
 
+    @property
+    def closing(self) -> HandClosing:
+        """What closed the hand."""
+        return self.search.closing_on(self.candidate)
+
 
 def search_together(
     scene: GraspScene,
     searches: Sequence[Search],
-    promise: Callable[[Closure], float],
+    promise: Callable[[Search, Closure], float],
 ) -> None:
     """Search until each has enough grasps, or no pose is left to try.
 
@@ -101,16 +132,47 @@ def search_together(
         promise: A quick estimate of how good a closed hand holds; larger is better.
     """
     while asked := _next(scene, searches):
-        closures = close_all([(search.closing, c.pose, c.start) for search, c in asked])
+        closings = [
+            search.closing_on(candidate) if candidate.centred else search.closing
+            for search, candidate in asked
+        ]
+        closures = close_all(
+            [(closing, c.pose, c.start) for closing, (_, c) in zip(closings, asked, strict=True)]
+        )
         for (search, candidate), closure in zip(asked, closures, strict=True):
             if closure is None:
+                continue
+            if search.by_force(candidate.width) and not candidate.centred:
+                search.ready += _centred(scene, search.closing, candidate, closure)
                 continue
             ground = search.ground
             if ground is not None and not ground.clears(search.closing, candidate, closure):
                 search.blocked = True
                 search.ready += ground.raised(search.closing, candidate, closure)
             else:
-                search.grasps.append(FoundGrasp(search, candidate, closure, promise(closure)))
+                search.grasps.append(
+                    FoundGrasp(search, candidate, closure, promise(search, closure))
+                )
+
+
+def _centred(
+    scene: GraspScene, closing: HandClosing, candidate: PoseCandidate, closure: Closure
+) -> Iterator[PoseCandidate]:
+    """Yield a candidate from which the fingers meet the object at about the same time.
+
+    That is where they would push it to.
+    """
+    pose, away = candidate.pose.copy(), candidate.approach_from
+    push = closure.pose[:3, 3] - pose[:3, 3]
+    unit = away / max(float(np.linalg.norm(away)), 1e-9)
+    # Nothing was found to be free beyond the end of the approach.
+    pose[:3, 3] += push - min(0.0, float(push @ unit)) * unit
+    near = DistanceBounds(scene, [closing.table[candidate.start]], pose[None])
+    for share in _SHARES:
+        near.pushed((pose[:3, 3] + share * away - near.places[0])[None])
+        if float(near.least(closing.table[candidate.start], GAP)[0]) < 0.5 * GAP:
+            return
+    yield replace(candidate, pose=pose, centred=True)
 
 
 def _next(scene: GraspScene, searches: Sequence[Search]) -> list[tuple[Search, PoseCandidate]]:

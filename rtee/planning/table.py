@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Final
 
 import coal
@@ -52,15 +53,26 @@ _SHARES: Final = (0.1, 0.3, 0.6, 1.0)
 """Shares of the approach at which the hand is checked, closer to each other near its end."""
 
 
-_JAWS_HELD: Final = (0.0, 0.5, 0.9), (0.0, 0.86, 0.95)
-_FINGERS_HELD: Final = (0.0, 0.28, 0.38, 0.65, 0.8), (0.0, 0.1, 0.6, 0.75, 0.95)
-"""Scores, and the shares of grasps with these scores that held in simulation on a table, with 5 mm,
-5 degrees and friction varied: for two jaws, and for more fingers (docs/benchmarks/index.md)."""
+class Closing(Enum):
+    """How a hand closes on an object that stands on a table.
 
+    The value has scores, and the shares of grasps with these scores that held in simulation, with
+    5 mm, 5 degrees and friction varied (docs/benchmarks/planning.md).
+    """
 
-def share_held(fingers: int, score: float) -> float:
-    """Return the share of grasps from a table that hold, for a score of geometry and forces."""
-    return round(float(np.interp(score, *(_JAWS_HELD if fingers <= 2 else _FINGERS_HELD))), 4)
+    JAWS = (0.0, 0.5, 0.9), (0.0, 0.86, 0.95)
+    """Two jaws press with equal forces."""
+    FINGERS = (0.0, 0.28, 0.38, 0.65, 0.8), (0.0, 0.1, 0.6, 0.75, 0.95)
+    """Several fingers that share motors push the object until they oppose each other."""
+    WAITING = (0.0, 0.5, 0.9), (0.0, 0.5, 0.9)
+    """The sides wait for one another, then press with the same force."""
+    UNEVEN = (0.0, 1.0), (0.1, 0.2)
+    """Fingers with motors of their own push the object, and press with efforts that do not
+    balance."""
+
+    def share_held(self, score: float) -> float:
+        """Return the share of grasps that hold, for a score of geometry and forces."""
+        return round(float(np.interp(score, *self.value)), 4)
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import Trial
 from rtee.trials.trial_run import TrialRun
 from rtee.trials.variation import Variation
+from rtee.types import Around, Force, Goal, Intensity, Named
 
 PRESSED: Final = 20.0
 """Force on the table above which the hand has hit it [N]: a cobot's arm yields at 50 N."""
@@ -82,11 +83,19 @@ def check_plan(
 
     if table is not None:
         headless.before_tick(note)
-    result = TrialRun(headless, trial, place).result()
+    result = TrialRun(headless, trial, place, goal=_goal(plan, name)).result()
     reason = result.reason
     if not reason and pressed > PRESSED:
         reason = f"it pressed the table with {pressed:.0f} N"
     return GraspCheck(not reason, reason, result.slip, result.peak, round(pressed, 3))
+
+
+def _goal(plan: GraspPlan, name: str) -> Goal:
+    """Return the goal that grasps as planned, by an action of that name."""
+    what = Named(name, plan.elements)
+    if plan.force is None:
+        return Goal(what, Intensity(plan.intensity))
+    return Goal(what, Around(plan.width), effort=Force(plan.force))
 
 
 def checked(ready: TrialBench, thing: GraspObject, ranking: Ranking, most: int) -> Ranking:

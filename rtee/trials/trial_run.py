@@ -64,6 +64,7 @@ class TrialRun:
         place: Place,
         number: int = 1,
         watch: Watch | None = None,
+        goal: Goal | None = None,
     ) -> None:
         """Prepare a trial; nothing moves yet.
 
@@ -73,9 +74,12 @@ class TrialRun:
             place: The object's place in the hand.
             number: Number of places tried, including this one.
             watch: Called at the moments of the trial.
+            goal: Grasps the object; by default the trial's action, to its intensity.
         """
         self.scene, self._trial, self._place = TrialScene(headless, watch), trial, place
         self._number = number
+        self._what = Named(trial.action, trial.elements)
+        self._goal = goal or Goal(self._what, Intensity(trial.intensity), goal_id=f"trial-{number}")
         self._gone_below = -math.inf
 
     def result(self) -> TrialResult:
@@ -99,14 +103,13 @@ class TrialRun:
             return False
 
     def _steps(self) -> tuple[Step, ...]:
-        scene, trial = self.scene, self._trial
-        what, to = Named(trial.action, trial.elements), Intensity(trial.intensity)
+        scene = self.scene
         before = Intensity(self._place.preshape)
         return (
-            *((Preshape(Goal(what, before, goal_id="preshape")),) if before.share else ()),
+            *((Preshape(Goal(self._what, before, goal_id="preshape")),) if before.share else ()),
             ApproachStep(scene.around.base_pose[:3, :3] @ self._place.approach_from),
             self._watch_height,
-            Grasp(Goal(what, to, goal_id=f"trial-{self._number}")),
+            Grasp(self._goal),
             Wait(_SETTLE),
             release,
             Wait(_SETTLE, "grasp"),

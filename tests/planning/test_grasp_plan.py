@@ -25,6 +25,7 @@ from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder
 from rtee.objects.shape import Table, parse_object, parse_table
+from rtee.planning.closing import ActionPath, HandClosing
 from rtee.planning.composition import action_of
 from rtee.planning.objects import read_object
 from rtee.planning.plan import grasp_plan, plan_grasps
@@ -32,6 +33,7 @@ from rtee.planning.planner import rank
 from rtee.planning.poses import orientations
 from rtee.planning.question import Question, ask
 from rtee.planning.result import from_document, to_document
+from rtee.planning.scene import GraspScene
 from rtee.sample import FloatArray
 from rtee.trials.result import OBJECTS
 from rtee.trials.robust_places import misfit
@@ -138,6 +140,58 @@ def test_on_a_table_the_hand_stays_above_it_and_the_weight_pulls_to_it(
     assert ((ends - top[:3, 3]) @ top[:3, 2]).min() > 0.004
     assert plan.load == pytest.approx(20.0 / (0.5 * 9.81), rel=0.12)
     assert plan.overhang == 0.0
+
+
+def test_fingers_that_wait_for_one_another_leave_an_object_where_it_is(tmp_path: Path) -> None:
+    file = tmp_path / "jaws.urdf"
+    file.write_text(JAWS.replace('<mimic joint="jaw"/>', ""))
+    hand = load_model(file)
+    closed = full_posture(hand, {"jaw": 0.05, "follower": 0.05})
+    action = Primitive(PrimitiveKind.PINCH_TIGHT, ("left", "right"), (closed,))
+    scene = GraspScene(hand, read_object("box:0.04x0.02x0.02"))
+    closing = HandClosing(scene, ActionPath.of(hand, action), 0.5)
+    # 10 mm beside the middle: the right jaw touches it 20 mm before it touches the left one.
+    beside = np.eye(4)
+    beside[:3, 3] = 0.01, 0.0, 0.045
+    pushed, waited = closing.close(beside, 0), closing.waiting.close(beside, 0)
+    assert pushed is not None
+    assert waited is not None
+    assert pushed.pose[0, 3] == pytest.approx(0.0, abs=2e-3)
+    assert waited.pose[0, 3] == beside[0, 3]
+    shares = dict(zip(hand.actuator_names, waited.shares.tolist(), strict=True))
+    assert shares["jaw"] == pytest.approx(0.8, abs=0.03)
+    assert shares["follower"] == pytest.approx(0.4, abs=0.03)
+
+
+def test_a_side_that_does_not_come_leaves_the_other_waiting(tmp_path: Path) -> None:
+    file = tmp_path / "jaws.urdf"
+    file.write_text(JAWS.replace('<mimic joint="jaw"/>', ""))
+    hand = load_model(file)
+    # The left jaw stays 25 mm from the middle, the object's side 10 mm.
+    posture = full_posture(hand, {"jaw": 0.025, "follower": 0.05})
+    action = Primitive(PrimitiveKind.PINCH_TIGHT, ("left", "right"), (posture,))
+    scene = GraspScene(hand, read_object("box:0.04x0.02x0.02"))
+    closing = HandClosing(scene, ActionPath.of(hand, action), 0.5)
+    beside = np.eye(4)
+    beside[:3, 3] = 0.01, 0.0, 0.045
+    assert closing.close(beside, 0) is not None
+    assert closing.waiting.close(beside, 0) is None
+
+
+def test_sides_with_motors_of_their_own_press_with_a_force() -> None:
+    fingers = grasp_plan(
+        ROOT / "config/inspire_rh56", "box:0.04x0.04x0.06", table=Table((0.0, 0.0, 1.0))
+    )
+    first = fingers.plans[0]
+    assert first.force is not None
+    # More than the weight takes, and no more than leaves something to keep the posture.
+    assert 2.0 * 0.1 * 9.81 < first.force < 9.0
+    assert first.held_pose == first.pose
+    assert {"thumb"} < set(first.fingers)
+    jaws = grasp_plan(
+        ROOT / "config/robotiq_2f_85", "box:0.04x0.04x0.06", table=Table((0.0, 0.0, 1.0))
+    )
+    assert all(plan.force is None for plan in jaws.plans)
 
 
 def test_what_is_too_heavy_says_so(library: ActionLibrary) -> None:

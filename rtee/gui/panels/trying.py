@@ -14,7 +14,7 @@ from typing import Any, Final
 import anyio
 import viser
 
-from rtee.actions.types import Action
+from rtee.actions.types import Action, ActionReference
 from rtee.errors import ConfigError, RequestRejected, RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, BAR, GOOD
@@ -28,7 +28,7 @@ from rtee.objects.shape import Table
 from rtee.planning.result import GraspPlan, Ranking
 from rtee.planning.result import from_document as ranking_of
 from rtee.remote.client import RemoteHand
-from rtee.remote.goal_values import GoalOptions
+from rtee.remote.goal_values import GoalOptions, grasp_goal
 from rtee.trials.job import (
     LONGEST_LINE,
     MOST_VARIATIONS,
@@ -481,7 +481,7 @@ class GraspsPanel:
                 "",
                 ("Show", "Pre-shape", "Grasp") if self._bridge.may(Role.OPERATOR) else ("Show",),
                 hint="Show: the grasp as a ghost. Pre-shape: open the hand for the object. Grasp: "
-                "close on it with the planned intensity and effort",
+                "close on it with the planned force, or intensity and effort",
             )
             execution = Execution(self._bridge, self._remote)
         self._executions.append(execution)
@@ -501,6 +501,11 @@ class GraspsPanel:
 
     async def _do(self, plan: GraspPlan, execution: Execution, *, pre: bool) -> None:
         """Execute a planned grasp, or its pre-shape."""
+        if plan.force is not None and not pre:
+            use = ActionReference(plan.action, plan.elements)
+            goal = grasp_goal(plan.width, force=plan.force, action=use)
+            await execution.follow(self._remote.start_goal(goal))
+            return
         name, options = plan.action, GoalOptions(intensity=plan.intensity)
         if pre:
             options = GoalOptions(intensity=plan.preshape)
@@ -521,7 +526,7 @@ def summary(plan: GraspPlan) -> str:
         f"score {plan.score:.2f}",
         f"intensity {plan.intensity:.0%}",
         f"pre-shape {plan.preshape:.0%}",
-        f"effort {plan.effort:.0%}",
+        f"effort {plan.effort:.0%}" if plan.force is None else f"force {plan.force:.3g} N",
     ]
     if plan.check is not None:
         words.append(f"<b>{'held' if plan.check.held else 'lost'}</b> in simulation")
