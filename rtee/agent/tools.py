@@ -222,7 +222,8 @@ async def _recorded(agent: Agent) -> dict[str, Path]:
 
 
 def _planned(plan: GraspPlan) -> dict[str, Any]:
-    numbers = {n: texts.number(getattr(plan, n)) for n in ("score", "intensity", "effort", "width")}
+    names = ("score", "intensity", "effort", "width", *(("force",) if plan.force else ()))
+    numbers = {name: texts.number(getattr(plan, name)) for name in names}
     words = {"action": plan.action, "elements": plan.elements}
     return words | numbers | {"reasons": list(map(texts.outside, plan.reasons))}
 

@@ -15,6 +15,7 @@ from rtee.planning.objects import read_object
 from rtee.planning.plan import plan_grasps
 from rtee.trials.bench import TrialBench, bench
 from rtee.trials.planned import check_plan, checked
+from rtee.trials.variation import Variation
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +49,20 @@ def test_what_stands_on_a_table_is_held_without_pressing_on_it(
     check = check_plan(gripper, thing, ranking, plan)
     assert check.held
     assert check.pressed < 1.0
+
+
+def test_fingers_that_wait_for_one_another_hold_what_they_would_push(repository: Path) -> None:
+    fingers = bench(str(repository / "config/inspire_rh56"))
+    thing = read_object("box:0.04x0.04x0.06")
+    ranking = plan_grasps(fingers.hand, fingers.library, thing, table=Table((0.0, 0.0, 1.0)))
+    plan = ranking.plans[0]
+    assert plan.force is not None
+    aside = Variation(1.0, 1.0, (0.002, -0.003, 0.003), (0.04, 0.0, -0.02), 0.6)
+    assert check_plan(fingers, thing, ranking, plan).held
+    assert check_plan(fingers, thing, ranking, plan, aside).held
+    # To the same place by intensity: the thumb and the fingers press with unequal efforts.
+    pushed = dataclasses.replace(plan, force=None)
+    assert not check_plan(fingers, thing, ranking, pushed).held
 
 
 def test_pieces_of_a_mesh_are_held(gripper: TrialBench, repository: Path) -> None:
