@@ -163,7 +163,8 @@ class Planner:
     ) -> None:
         """Read the geometry; see `plan_grasps`.
 
-        With ``openings``, actions whose sides have motors of their own grasp with a force.
+        With ``openings``, actions whose sides have motors of their own take an object from a table
+        with a force.
         """
         if not 0.0 < (values.number(friction) or 0.0) <= 10.0:
             raise ConfigError(f"a friction must be above 0 and at most 10, not {friction!r:.100}")
@@ -307,7 +308,10 @@ class Planner:
 
         Only then can one side wait for the other, and press with the same force.
         """
-        opening = "" if self._openings is None else self._openings.find(action)
+        # What is held up may be wrapped: pushed into the palm, it is held as often as by a force.
+        if self.ground is None or self._openings is None:
+            return None
+        opening = self._openings.find(action)
         if isinstance(opening, str):
             return None
         actuators = [self.hand.actuator(name) for name in opening.actuators]
@@ -377,7 +381,7 @@ class Planner:
         least, enough = _OBLIQUE
         square = self._squareness(grasp.search, grasp.closure)
         pressing = min(1.0, max(0.0, (square - least) / (enough - least)))
-        first = grasp.search.meet_first(grasp.candidate.width)
+        first = grasp.search.meet_first(grasp.closure)
         return pressing * (_MEETING if first else 1.0)
 
     def _squareness(self, search: Search, closure: Closure) -> float:

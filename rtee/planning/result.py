@@ -88,9 +88,9 @@ class GraspPlan(Value):
             origin is below the object, or on the edge over which this stands out, along x.
             ``None`` without a table.
         overhang: How far it has to stand out over that edge [m].
-        force: Force between the fingertips with which the hand grasps an object of that width [N]:
-            the side that touches first waits for the other. ``None``: the hand closes to the
-            intensity.
+        force: Force between the fingertips with which the hand takes an object of that width from
+            a table [N]: the side that touches first waits for the other. ``None``: the hand closes
+            to the intensity.
     """
 
     action: str

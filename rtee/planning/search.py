@@ -64,11 +64,14 @@ class Search:
         opening = self.opening
         return opening is not None and opening.narrowest + opening.error < width < opening.widest
 
-    def meet_first(self, width: float) -> bool:
-        """Return whether fingers may meet one another before an object of a width [m]."""
-        if self.opening is None:
-            return False
-        return min(self.meets.values(), default=1.0) < self.opening.intensity_at(width)
+    def meet_first(self, closure: Closure) -> bool:
+        """Return whether fingers may meet one another before they touch the object."""
+        hand = self.closing.path.hand
+        indices = [hand.actuator_index(name) for name in self.meets]
+        return any(
+            closure.blocked[i] and closure.shares[i] > at
+            for i, at in zip(indices, self.meets.values(), strict=True)
+        )
 
     def closing_on(self, candidate: PoseCandidate) -> HandClosing:
         """Return what closes the hand at a pose, once the object is where it stays."""
