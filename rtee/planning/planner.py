@@ -312,7 +312,7 @@ class Planner:
         if self.ground is None or self._openings is None:
             return None
         opening = self._openings.find(action)
-        if isinstance(opening, str):
+        if opening is None:
             return None
         actuators = [self.hand.actuator(name) for name in opening.actuators]
         if not all(math.isfinite(actuator.effort) for actuator in actuators):

@@ -398,17 +398,20 @@ def _question(
 ) -> ReachQuestion:
     """Return the question; raises `ConfigError` if a value is malformed."""
     flat = tuple(_numbers(pose, (4, 4), "a pose is 4 by 4 numbers")) if pose is not None else ()
-    question = ReachQuestion(
-        fingers=listed(fingers, "fingers", ConfigError),
-        pose=flat,
-        approach=() if approach is None else vector(approach, "an approach"),
-        retreat=quantity(retreat, LENGTH, "retreat"),
-        tolerance=quantity(tolerance, LENGTH, "tolerance"),
-    )
+    direction = () if approach is None else vector(approach, "an approach")
     if contacts is None:
         if width is None or pose is None:
             raise ConfigError("give contacts, or a gripper's pose and a width")
-        return replace(question, width=quantity(width, LENGTH, "width"))
+        return ReachQuestion(
+            points=(),
+            normals=(),
+            fingers=listed(fingers, "fingers", ConfigError),
+            width=quantity(width, LENGTH, "width"),
+            pose=flat,
+            approach=direction,
+            retreat=quantity(retreat, LENGTH, "retreat"),
+            tolerance=quantity(tolerance, LENGTH, "tolerance"),
+        )
     if width is not None or len(fingers):
         raise ConfigError(
             "contacts already name their fingers and set the width; leave out fingers and width"
@@ -418,11 +421,14 @@ def _question(
     if any(n is None for n in normals) != all(n is None for n in normals):
         raise ConfigError("give a normal for each contact, or for none")
     named = [contact.finger for contact in wanted]
-    return replace(
-        question,
+    return ReachQuestion(
         points=tuple(float(v) for contact in wanted for v in contact.point),
         normals=tuple(float(v) for normal in normals if normal is not None for v in normal),
         fingers=tuple(named) if any(named) else (),
+        pose=flat,
+        approach=direction,
+        retreat=quantity(retreat, LENGTH, "retreat"),
+        tolerance=quantity(tolerance, LENGTH, "tolerance"),
     )
 
 
