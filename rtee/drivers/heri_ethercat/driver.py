@@ -270,8 +270,14 @@ class HeriEthercatDriver(Driver):
     async def disable(self) -> None:
         """Disable the motors; tendons without power go slack."""
         self.active = False
+        refused: DeviceFault | None = None
         for position in range(self._boards):
-            await self._order(position, codec.Order.POWER_OFF)
+            try:
+                await self._order(position, codec.Order.POWER_OFF)
+            except DeviceFault as error:  # the other boards must lose their power all the same
+                refused = error
+        if refused is not None:
+            raise refused
 
     # --- every cycle -------------------------------------------------------------------------
 

@@ -285,6 +285,20 @@ async def test_release_takes_the_power_and_stop_holds() -> None:
 
 
 @pytest.mark.anyio
+async def test_a_board_that_refuses_does_not_keep_the_power_of_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        await made.activate()
+        first, *others = hand(pool).boards
+        monkeypatch.setattr(first, "obey", lambda code: False)
+        with pytest.raises(DeviceFault, match="board 0 refuses 'power off'"):
+            await made.disable()
+        assert first.power and others
+        assert not any(board.power for board in others)
+
+
+@pytest.mark.anyio
 async def test_lost_frames_and_a_pulled_cable_are_told() -> None:
     async with BusPool() as pool, connected(pool, device()) as made:
         await made.activate()
