@@ -294,7 +294,8 @@ async def test_a_board_that_refuses_does_not_keep_the_power_of_the_others(
         monkeypatch.setattr(first, "obey", lambda code: False)
         with pytest.raises(DeviceFault, match="board 0 refuses 'power off'"):
             await made.disable()
-        assert first.power and others
+        assert first.power
+        assert others
         assert not any(board.power for board in others)
 
 
