@@ -578,7 +578,7 @@ def test_the_spring_of_a_spatial_tendon_outside_of_linkages_is_noted(tmp_path: P
   <site name="outside" pos="0 0 0.001"/></body><site name="anchor"''',
     )
     made(tmp_path, text)
-    assert "the spring of the spatial tendon 'right' is not read" in notes_of(tmp_path / "hand.xml")
+    assert "the spring of the spatial tendon 'right' is ignored" in notes_of(tmp_path / "hand.xml")
 
 
 def test_a_slack_tendon_decides_nothing(tmp_path: Path) -> None:
