@@ -384,8 +384,8 @@ class Intensity(Value):
     tolerance: float = 0.01
 
     def __post_init__(self) -> None:
-        if not 0.0 <= _plain("intensity", self.share) <= 1.0:
-            raise GoalRejected(f"the intensity must be 0 to 1, not {self.share:g}")
+        if not 0.0 <= (share := _plain("intensity", self.share)) <= 1.0:
+            raise GoalRejected(f"the intensity must be 0 to 1, not {share:g}")
         _above_zero("tolerance", self.tolerance)
 
 
@@ -482,9 +482,10 @@ class Force(Value):
         _above_zero("force", self.value, " N")
         if self.most is None:
             return
-        if not self.value <= _plain("largest force", self.most) < math.inf:
+        if not self.value <= (most := _plain("largest force", self.most)) < math.inf:
             raise GoalRejected(
-                f"the largest force must be at least the force, {self.value:g} N, not {self.most:g}"
+                f"the largest force must be at least the force, {float(self.value):g} N, not "
+                f"{most:g}"
             )
 
 
@@ -518,8 +519,10 @@ class Goal(Value):
     client: str = ""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.speed, TipSpeed) and not 0.0 < _plain("speed", self.speed) <= 1.0:
-            raise GoalRejected(f"the speed must be above 0 and at most 1, not {self.speed:g}")
+        if not isinstance(self.speed, TipSpeed):
+            speed = _plain("speed", self.speed)
+            if not 0.0 < speed <= 1.0:
+                raise GoalRejected(f"the speed must be above 0 and at most 1, not {speed:g}")
         if self.timeout is not None:
             _above_zero("timeout", self.timeout, " s")
         for name, by_name in (("effort", self.effort), ("on_contact", self.on_contact)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,9 @@ def library() -> ActionLibrary:
         (lambda: rtee.Goal(DO, "open"), r"a goal is to an Intensity\(…\), .*, not to 'open'"),
         (lambda: rtee.Intensity("60%"), "the intensity must be a number, not '60%'"),
         (lambda: rtee.Intensity(tolerance=None), "the tolerance must be a number, not None"),
+        (lambda: rtee.Intensity(Fraction(3, 2)), "the intensity must be 0 to 1, not 1.5"),
+        (lambda: rtee.Goal(DO, speed=Fraction(2)), "the speed must be above 0 and at most 1"),
+        (lambda: rtee.Force(2.0, Fraction(1)), "must be at least the force, 2 N, not 1"),
         (lambda: rtee.Opening("30mm"), "the opening must be a number, not '30mm'"),
         (lambda: rtee.Around(0.03, wider="5mm"), "the tolerance 'wider' must be a number"),
         (lambda: rtee.TipSpeed("fast"), "the speed must be a number, not 'fast'"),
