@@ -142,38 +142,37 @@ def test_on_a_table_the_hand_stays_above_it_and_the_weight_pulls_to_it(
     assert plan.overhang == 0.0
 
 
-def test_fingers_that_wait_for_one_another_leave_an_object_where_it_is(tmp_path: Path) -> None:
-    file = tmp_path / "jaws.urdf"
+def _jaws_beside_a_box(folder: Path, **closed: float) -> tuple[HandClosing, FloatArray]:
+    """Return two jaws with a motor each that close to positions [m], and the pose of a box.
+
+    The box is 10 mm beside the middle: the right jaw touches it 20 mm before the left one.
+    """
+    file = folder / "jaws.urdf"
     file.write_text(JAWS.replace('<mimic joint="jaw"/>', ""))
     hand = load_model(file)
-    closed = full_posture(hand, {"jaw": 0.05, "follower": 0.05})
-    action = Primitive(PrimitiveKind.PINCH_TIGHT, ("left", "right"), (closed,))
+    posture = full_posture(hand, closed)
+    action = Primitive(PrimitiveKind.PINCH_TIGHT, ("left", "right"), (posture,))
     scene = GraspScene(hand, read_object("box:0.04x0.02x0.02"))
-    closing = HandClosing(scene, ActionPath.of(hand, action), 0.5)
-    # 10 mm beside the middle: the right jaw touches it 20 mm before it touches the left one.
     beside = np.eye(4)
     beside[:3, 3] = 0.01, 0.0, 0.045
+    return HandClosing(scene, ActionPath.of(hand, action), 0.5), beside
+
+
+def test_fingers_that_wait_for_one_another_leave_an_object_where_it_is(tmp_path: Path) -> None:
+    closing, beside = _jaws_beside_a_box(tmp_path, jaw=0.05, follower=0.05)
     pushed, waited = closing.close(beside, 0), closing.waiting.close(beside, 0)
     assert pushed is not None
     assert waited is not None
     assert pushed.pose[0, 3] == pytest.approx(0.0, abs=2e-3)
     assert waited.pose[0, 3] == beside[0, 3]
-    shares = dict(zip(hand.actuator_names, waited.shares.tolist(), strict=True))
+    shares = dict(zip(closing.path.hand.actuator_names, waited.shares.tolist(), strict=True))
     assert shares["jaw"] == pytest.approx(0.8, abs=0.03)
     assert shares["follower"] == pytest.approx(0.4, abs=0.03)
 
 
 def test_a_side_that_does_not_come_leaves_the_other_waiting(tmp_path: Path) -> None:
-    file = tmp_path / "jaws.urdf"
-    file.write_text(JAWS.replace('<mimic joint="jaw"/>', ""))
-    hand = load_model(file)
     # The left jaw stays 25 mm from the middle, the object's side 10 mm.
-    posture = full_posture(hand, {"jaw": 0.025, "follower": 0.05})
-    action = Primitive(PrimitiveKind.PINCH_TIGHT, ("left", "right"), (posture,))
-    scene = GraspScene(hand, read_object("box:0.04x0.02x0.02"))
-    closing = HandClosing(scene, ActionPath.of(hand, action), 0.5)
-    beside = np.eye(4)
-    beside[:3, 3] = 0.01, 0.0, 0.045
+    closing, beside = _jaws_beside_a_box(tmp_path, jaw=0.025, follower=0.05)
     assert closing.close(beside, 0) is not None
     assert closing.waiting.close(beside, 0) is None
 
