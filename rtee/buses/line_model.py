@@ -6,7 +6,7 @@ import heapq
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, cast
 
 from rtee.buses.emulator import CanFrame, Duplex, Emulator
 from rtee.buses.faults import Faults
@@ -22,10 +22,16 @@ _STUFFING = 1.1
 M = TypeVar("M", bytes, CanFrame)
 
 
-class _Schedule(ABC, Generic[M]):
-    """Messages in transit between a host and emulated devices, in the order of their arrival."""
+class Schedule(ABC, Generic[M]):
+    """Messages in transit between a host and emulated devices, in the order of their arrival.
 
-    def __init__(self, emulators: Sequence[Emulator], faults: Faults | None) -> None:
+    Attributes:
+        emulators: The devices; each receives every message of the host.
+        faults: Faults of the wire.
+        busy: Total time so far in which the wire was in use [s].
+    """
+
+    def __init__(self, emulators: Sequence[Emulator] = (), faults: Faults | None = None) -> None:
         self.emulators = list(emulators)
         self.faults = faults or Faults()
         self.busy = 0.0
@@ -35,12 +41,16 @@ class _Schedule(ABC, Generic[M]):
         self._stepped = 0.0
 
     @abstractmethod
-    def _arrive(self, message: M, when: float) -> None:
-        """Pass a message of the host to the devices."""
+    def receive(self, message: M, now: float) -> None:
+        """Put a message of the host on the wire."""
 
     @abstractmethod
-    def _sent_unasked(self, emulator: Emulator, now: float) -> list[M]:
-        """Return the messages that a device sends by itself."""
+    def reset(self) -> None:
+        """Discard all messages in transit."""
+
+    @abstractmethod
+    def _arrive(self, message: M, when: float) -> None:
+        """Pass a message of the host to the devices."""
 
     @abstractmethod
     def _answer(self, emulator: Emulator, messages: Sequence[M], when: float) -> None:
@@ -60,7 +70,8 @@ class _Schedule(ABC, Generic[M]):
         if period and now - self._stepped >= period:
             self._stepped = now
             for emulator in self.emulators:
-                self._answer(emulator, self._sent_unasked(emulator, now), now)
+                # An emulator of a device on this wire sends no other kind of message.
+                self._answer(emulator, cast("list[M]", emulator.step(now)), now)
         return out
 
     def next_due(self) -> float | None:
@@ -79,7 +90,7 @@ class _Schedule(ABC, Generic[M]):
         heapq.heappush(self._events, (when, next(self._number), inward, message))
 
 
-class Wire(_Schedule[bytes]):
+class Wire(Schedule[bytes]):
     """A line between a host and one or more emulated devices.
 
     A pty is infinitely fast; here a message occupies the line for the time that its bytes take, and
@@ -159,9 +170,6 @@ class Wire(_Schedule[bytes]):
             if self.spoken is None or self.spoken == emulator.baudrate:
                 self._answer(emulator, emulator.feed(message, when), when)
 
-    def _sent_unasked(self, emulator: Emulator, now: float) -> list[bytes]:
-        return [data for data in emulator.step(now) if isinstance(data, bytes)]
-
     def _answer(self, emulator: Emulator, messages: Sequence[bytes], when: float) -> None:
         turnaround = emulator.turnaround if self.timed else 0.0
         if messages and emulator.fresh:
@@ -186,7 +194,7 @@ class Wire(_Schedule[bytes]):
         self._counted = max(self._counted, end)
 
 
-class CanWire(_Schedule[CanFrame]):
+class CanWire(Schedule[CanFrame]):
     """A CAN bus between a host and one or more emulated nodes.
 
     Attributes:
@@ -226,9 +234,6 @@ class CanWire(_Schedule[CanFrame]):
         for emulator in self.emulators:
             self._answer(emulator, emulator.on_frame(message, when), when)
 
-    def _sent_unasked(self, emulator: Emulator, now: float) -> list[CanFrame]:
-        return [frame for frame in emulator.step(now) if isinstance(frame, CanFrame)]
-
     def _answer(self, emulator: Emulator, messages: Sequence[CanFrame], when: float) -> None:
         late = emulator.wear.late if messages and emulator.fresh else 0.0
         emulator.fresh = emulator.fresh and not messages
@@ -239,6 +244,31 @@ class CanWire(_Schedule[CanFrame]):
             self.busy += self._free - since
             for behind in self.faults.copies():
                 self._put(self._free + behind, False, frame)
+
+
+class MessageWire(Schedule[bytes]):
+    """A network between a host and an emulated server, which carries whole messages.
+
+    Messages take no time. A damaged one is lost, since TCP detects damage.
+    """
+
+    def receive(self, message: bytes, now: float) -> None:
+        """Pass a message of the host on, now or late."""
+        for late in self.faults.copies() if self.faults.requests else [0.0]:
+            self._put(now + late, True, message)
+
+    def reset(self) -> None:
+        """Discard all messages in transit."""
+        self._events.clear()
+
+    def _arrive(self, message: bytes, when: float) -> None:
+        for emulator in self.emulators:
+            emulator.feed(message, when)
+
+    def _answer(self, emulator: Emulator, messages: Sequence[bytes], when: float) -> None:
+        for message in messages:
+            for late in self.faults.copies():
+                self._put(when + late, False, message)
 
 
 def frame_time(frame: CanFrame, bitrate: float | None) -> float:

@@ -22,7 +22,7 @@ from rtee import monotonic
 from rtee.buses.direct_end import DirectEnd
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.faults import Faults
-from rtee.buses.line_model import Wire
+from rtee.buses.line_model import Schedule, Wire
 from rtee.buses.link import Line
 from rtee.buses.simulated_ends import Pty, Tcp
 from rtee.buses.simulated_time import on_simulated_time
@@ -33,14 +33,13 @@ from rtee.errors import RteeError
 class Simulation(ABC):
     """One simulated bus; a context manager.
 
-    Attributes:
-        faults: Faults of the wire; may be changed while it runs.
-        emulators: The devices on the wire.
+    A subclass sets the model of its wire.
     """
+
+    _wire: Schedule[Any]
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.emulators: list[Emulator] = []
         self._thread: threading.Thread | None = None
         self._wake_out = self._wake_in = -1
         self._loop = on_simulated_time()
@@ -49,7 +48,19 @@ class Simulation(ABC):
         self._running = False
         self._there = False
 
-    faults: Faults
+    @property
+    def emulators(self) -> list[Emulator]:
+        """The devices on the wire."""
+        return self._wire.emulators
+
+    @property
+    def faults(self) -> Faults:
+        """Faults of the wire; may be changed while it runs."""
+        return self._wire.faults
+
+    @faults.setter
+    def faults(self, faults: Faults) -> None:
+        self._wire.faults = faults
 
     @property
     @abstractmethod
@@ -75,8 +86,8 @@ class Simulation(ABC):
     def _step(self, now: float) -> None:
         """Carry out the events that are due at a time [s]."""
 
-    @abstractmethod
-    def _next_due(self) -> float | None: ...
+    def _next_due(self) -> float | None:
+        return self._wire.next_due()
 
     def start(self) -> Self:
         """Open the port and start the thread."""
@@ -213,7 +224,7 @@ class SimulatedLine(Simulation):
     its sleeps, and spins for the rest: bytes arrive within microseconds of the modelled time.
 
     Attributes:
-        wire: Model of the wire: emulators, baud rate, faults.
+        wire: Model of the line: devices, baud rate, faults.
         strict: Whether a device receives only bytes sent at its baud rate (ptys only).
     """
 
@@ -235,7 +246,7 @@ class SimulatedLine(Simulation):
         super().__init__(name)
         self.strict = strict
         network = scheme == "tcp"
-        self.wire = Wire(
+        self.wire = self._wire = Wire(
             emulators,
             baudrate=None if line is None or network else float(line.baudrate),
             bits=10.0 if line is None else float(line.bits),
@@ -244,22 +255,12 @@ class SimulatedLine(Simulation):
             duplex=Duplex.FULL if network else None,
             garbles=not tcp,
         )
-        self.emulators = self.wire.emulators
         self._end: Pty | Tcp | DirectEnd
         if self._loop is not None:
             self._end = DirectEnd(self._loop, self._take, self.wire.reset if tcp else None)
         else:
             self._end = Tcp(host, port, scheme) if tcp else Pty(link)
         self._late = 0.0
-
-    @property
-    def faults(self) -> Faults:
-        """Faults of the wire."""
-        return self.wire.faults
-
-    @faults.setter
-    def faults(self, faults: Faults) -> None:
-        self.wire.faults = faults
 
     @property
     def address(self) -> str:
@@ -281,9 +282,6 @@ class SimulatedLine(Simulation):
         """End the thread and close everything; idempotent."""
         super().close()
         self._end.dispose()
-
-    def _next_due(self) -> float | None:
-        return self.wire.next_due()
 
     def _turn(self, timeout: float | None) -> None:
         if isinstance(self._end, DirectEnd):  # runs in the event loop

@@ -35,21 +35,11 @@ class SimulatedCan(Simulation):
         faults: Faults | None = None,
     ) -> None:
         super().__init__(name)
-        self.wire = CanWire(emulators, bitrate=bitrate, faults=faults)
-        self.emulators = self.wire.emulators
+        self.wire = self._wire = CanWire(emulators, bitrate=bitrate, faults=faults)
         self._channel, self._interface = channel, interface
         self._bus: Any = None
         self._hosts: list[DirectCan] = []
         self.on_unplug: Callable[[], None] | None = None
-
-    @property
-    def faults(self) -> Faults:
-        """Faults of the bus."""
-        return self.wire.faults
-
-    @faults.setter
-    def faults(self, faults: Faults) -> None:
-        self.wire.faults = faults
 
     @property
     def address(self) -> str:
@@ -87,17 +77,14 @@ class SimulatedCan(Simulation):
         super()._wake()
         wake(self._bus)
 
-    def _next_due(self) -> float | None:
-        return self.wire.next_due()
-
     def _turn(self, timeout: float | None) -> None:
         if self._bus is None:
             select.select([self._wake_out], [], [], timeout)
-            return
-        message = self._bus.recv(_POLL if timeout is None else min(timeout, _POLL))
-        now = monotonic.now()
-        if message is not None and not message.is_error_frame:
-            self.wire.receive(frame_of(message, now), now)
+        else:
+            message = self._bus.recv(_POLL if timeout is None else min(timeout, _POLL))
+            now = monotonic.now()
+            if message is not None and not message.is_error_frame:
+                self.wire.receive(frame_of(message, now), now)
         self._step(monotonic.now())
 
     def hear(self, host: DirectCan, frame: CanFrame) -> None:

@@ -12,7 +12,7 @@ from typing import Protocol, cast
 
 from rtee import monotonic
 from rtee.buses.ethercat import Ring, Slave, SlaveState
-from rtee.buses.faults import Faults
+from rtee.buses.line_model import MessageWire
 from rtee.buses.simulated import Simulation
 
 
@@ -47,13 +47,12 @@ class PlaysSlaves(Protocol):
 class SimulatedEthercat(Simulation):
     """The slaves' end of a ring, with one emulator for all slaves.
 
-    Attributes:
-        faults: Faults of the wire; a lost or damaged frame does not return.
+    A lost or damaged frame does not return to the master.
     """
 
     def __init__(self, *, name: str = "ethercat") -> None:
         super().__init__(name)
-        self.faults = Faults()
+        self._wire = MessageWire()
 
     @property
     def address(self) -> str:
@@ -75,7 +74,7 @@ class SimulatedEthercat(Simulation):
         """Do nothing: the master asks in `SimulatedRing.exchange`."""
 
     def _next_due(self) -> float | None:
-        return None
+        return None  # nor does a slave send anything by itself
 
     def _turn(self, timeout: float | None) -> None:
         select.select([self._wake_out], [], [], timeout)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import Callable
-from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import zmq
 
 from rtee import monotonic
-from rtee.buses.faults import Faults
+from rtee.buses.line_model import MessageWire
 from rtee.buses.simulated import Simulation
 from rtee.buses.zmq import DirectServer, Endpoints
 from rtee.errors import BusBroken
@@ -31,8 +31,6 @@ class SimulatedZmq(Simulation, DirectServer):
 
     Attributes:
         endpoints: Its addresses; ports that are not given are chosen at the first start and kept.
-        faults: Faults of the wire: messages are lost, late or duplicated. Corruption does not
-            occur, since TCP detects it.
 
     Args:
         ports: Where it publishes states, receives commands and answers requests.
@@ -46,14 +44,12 @@ class SimulatedZmq(Simulation, DirectServer):
         ports: tuple[int, int, int] | None = None,
     ) -> None:
         super().__init__(name)
+        self._wire = MessageWire()
         chosen: tuple[int | str, ...] = ports or ("*", "*", "*")
         self.endpoints = Endpoints(*(f"tcp://{host}:{port}" for port in chosen))
-        self.faults = Faults()
         self._context: zmq.Context[Any] | None = None
         self._sockets: list[Any] = []
         self._clients: list[tuple[Callable[[bytes], None], Callable[[str], None]]] = []
-        self._late: list[tuple[float, Callable[[], None]]] = []
-        self._stepped = 0.0
 
     @property
     def address(self) -> str:
@@ -116,36 +112,30 @@ class SimulatedZmq(Simulation, DirectServer):
         sockets, self._sockets = self._sockets, []
         for made in sockets:
             made.close(linger=0)
-        self._late.clear()
+        self._wire.reset()
         if self._context is not None:
             self._context.term()
             self._context = None
-
-    def _next_due(self) -> float | None:
-        periods = [e.period for e in self.emulators if e.period]
-        due = [when for when, _ in self._late]
-        if periods and self._there:
-            due.append(self._stepped + min(periods))
-        return min(due) if due else None
 
     def _turn(self, timeout: float | None) -> None:
         poller = zmq.Poller()
         poller.register(self._wake_out, zmq.POLLIN)
         for made in self._sockets[1:]:
             poller.register(made, zmq.POLLIN)
-        # The unit of zmq's timeouts is 1 ms, as an integer.
-        poller.poll(None if timeout is None else int(timeout * 1000.0))
+        # The unit of zmq's timeouts is 1 ms, as an integer; rounded down, it would wait in vain.
+        poller.poll(None if timeout is None else math.ceil(timeout * 1000.0))
         now = monotonic.now()
         if self._sockets:
             self._receive(now)
         self._step(now)
 
     def _step(self, now: float) -> None:
-        if self.plugged:
-            self._publish(now)
-        for when, action in [late for late in self._late if late[0] <= now]:
-            self._late.remove((when, action))
-            action()
+        for message in self._wire.step(now):
+            for receive, _ in tuple(self._clients):
+                receive(message)
+            if self._sockets:
+                with contextlib.suppress(zmq.Again):
+                    self._sockets[0].send(message, zmq.NOBLOCK)
 
     def _receive(self, now: float) -> None:
         _, commands, service = self._sockets
@@ -160,38 +150,10 @@ class SimulatedZmq(Simulation, DirectServer):
                     service.send_multipart([*envelope, answer])
 
     def _hear(self, command: bytes, now: float) -> None:
-        for late in self.faults.copies() if self.faults.requests else [0.0]:
-            self._after(now + late, partial(self._feed, command))
+        self._wire.receive(command, now)
+        # At once, since a request that follows must find the command done.
+        self._step(now)
 
     def _answer(self, request: bytes, now: float) -> bytes | None:
         servers = [emulator for emulator in self.emulators if isinstance(emulator, Serves)]
         return servers[0].serve(request, now) if servers else None
-
-    def _after(self, when: float, action: Callable[[], None]) -> None:
-        if when <= monotonic.now():
-            action()
-        else:
-            self._late.append((when, action))
-
-    def _feed(self, data: bytes) -> None:
-        for emulator in self.emulators:
-            emulator.feed(data, monotonic.now())
-
-    def _publish(self, now: float) -> None:
-        period = min((e.period for e in self.emulators if e.period), default=0.0)
-        # A wait is rounded to milliseconds and may end early, but not by half a period.
-        if not period or now - self._stepped < period * 0.5:
-            return
-        self._stepped = now
-        for emulator in self.emulators:
-            for data in emulator.step(now):
-                if isinstance(data, bytes):
-                    for late in self.faults.copies():
-                        self._after(now + late, partial(self._send, data))
-
-    def _send(self, data: bytes) -> None:
-        for receive, _ in tuple(self._clients):
-            receive(data)
-        if self._sockets:
-            with contextlib.suppress(zmq.Again):
-                self._sockets[0].send(data, zmq.NOBLOCK)
