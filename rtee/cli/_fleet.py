@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rtee.cli._common import to_json
-from rtee.cli._table import Column, Row, TextTable, on_terminal
+from rtee.cli._table import Column, Row, TextTable, on_terminal, table_of
 from rtee.errors import NoHand
 
 if TYPE_CHECKING:
@@ -77,19 +77,19 @@ def _plain(look: Look) -> dict[str, Any]:
 
 
 def _table(looks: Sequence[Look]) -> TextTable:
-    columns = (
+    columns: tuple[str | Column, ...] = (
         Column("hand", whole=True),
-        *([Column("at")] if any(look.place.endpoint for look in looks) else []),
+        *(["at"] if any(look.place.endpoint for look in looks) else []),
         Column("state", whole=True),
-        Column("goal"),
-        Column("last"),
+        "goal",
+        "last",
         *(Column(name, right=True, whole=True) for name in ("Hz", "missed", "°C")),
         Column("version", whole=True),
-        Column("recording"),
-        Column("remarks"),
+        "recording",
+        "remarks",
     )
     places = len(columns) > 10
-    return TextTable(columns, tuple(_row(look, places) for look in looks))
+    return table_of(columns, (_row(look, places) for look in looks))
 
 
 def _row(look: Look, places: bool) -> Row:

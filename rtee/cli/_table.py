@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Annotated, Final
@@ -166,6 +166,21 @@ class TextTable:
             # Rich would take words in brackets for markup in a plain string.
             grid.add_row(*map(Text, row.cells), style="dim" if row.faint else "")
         return grid
+
+
+def table_of(
+    columns: Iterable[str | Column],
+    rows: Iterable[Row | Sequence[str]],
+    title: str = "",
+    heading: str = "",
+) -> TextTable:
+    """Return a table; a name may stand for a plain column, and the cells for a plain row."""
+    return TextTable(
+        tuple(each if isinstance(each, Column) else Column(each) for each in columns),
+        tuple(each if isinstance(each, Row) else Row(tuple(each)) for each in rows),
+        title,
+        heading,
+    )
 
 
 class _Output:

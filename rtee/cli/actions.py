@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from rtee.cli._common import Hand, JsonOption, actions_of
-from rtee.cli._table import Column, Row, TextTable, WideOption, on_terminal, prefix_to_drop
+from rtee.cli._table import Column, Row, WideOption, on_terminal, prefix_to_drop, table_of
 
 if TYPE_CHECKING:
     from rtee.actions.types import Action, ActionReference, Evidence, Primitive
@@ -40,9 +40,9 @@ def _show(hand: HandModel, library: list[Action]) -> None:
     title = f"Grasping actions of {hand.name}"
     if prefix:
         title += f"\n(names of actuators begin with {prefix})"
-    columns = (Column("elements"), Column("involves", whole=True), Column("remarks"))
-    rows = [_row(hand, action, prefix) for action in library]
-    TextTable(columns, tuple(rows), title, "action").show()
+    columns = ("elements", Column("involves", whole=True), "remarks")
+    rows = (_row(hand, action, prefix) for action in library)
+    table_of(columns, rows, title, "action").show()
 
 
 def _row(hand: HandModel, action: Action, prefix: str) -> Row:

@@ -20,7 +20,7 @@ from rtee.cli._sweep import (
     tell_of_meshes,
     workers_for,
 )
-from rtee.cli._table import Column, Row, TextTable
+from rtee.cli._table import table_of
 from rtee.errors import needing_extra
 from rtee.hand.files import write_atomically
 
@@ -127,6 +127,5 @@ def _show(found: Comparison) -> None:
                 f"{cell.best.trial.what}\n{cell.rated}\n"
                 f"{cell.force:.1f} N, slip {cell.best.slip * 1e3:.1f} mm"
             )
-        rows.append(Row(tuple(cells)))
-    columns = (Column("part"), *(Column(name_of(hand)) for hand in found.hands))
-    TextTable(columns, tuple(rows)).show()
+        rows.append(cells)
+    table_of(["part", *map(name_of, found.hands)], rows).show()

@@ -26,7 +26,7 @@ from rtee.cli._common import (
     hand_folder,
     owned,
 )
-from rtee.cli._table import Column, Row, TextTable, WideOption, on_terminal, prefix_to_drop
+from rtee.cli._table import Column, Row, WideOption, on_terminal, prefix_to_drop, table_of
 from rtee.cli.new import OutsideOption, RootOption, subtree_of
 from rtee.errors import ConfigError, needing_extra
 from rtee.hand.config_schema import Outside
@@ -298,12 +298,12 @@ def _show(hand: HandModel, extraction: Extraction) -> None:
     if prefix:
         title += f"\n(names of actuators begin with {prefix})"
     width = max(len(name.removeprefix(prefix)) for name in hand.actuator_names)
-    columns = (Column("elements"), Column("posture", whole=True), Column("evidence"))
+    columns = ("elements", Column("posture", whole=True), "evidence")
     rows = []
     for primitive in extraction.primitives:
         colliding = bool(primitive.evidence) and not primitive.evidence[0].clear
         rows.append(Row(_cells(hand, primitive, prefix, width), primitive.name, faint=colliding))
-    TextTable(columns, tuple(rows), title, "primitive").show()
+    table_of(columns, rows, title, "primitive").show()
 
 
 def _cells(hand: HandModel, primitive: Primitive, prefix: str, width: int) -> tuple[str, str, str]:

@@ -10,7 +10,7 @@ import typer
 
 from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder
 from rtee.cli._sweep import meshes_in
-from rtee.cli._table import Column, Row, TextTable
+from rtee.cli._table import Column, table_of
 from rtee.cli.define import Replace
 from rtee.errors import ConfigError, UserError, needing_extra
 from rtee.objects.shape import parse_table
@@ -142,30 +142,18 @@ def _checked(name: str, library: ActionLibrary, target: GraspObject, ranking: Ra
 
 
 def _show(ranking: Ranking, top: int) -> None:
-    columns = (
-        "action",
-        "score",
-        "intensity",
-        "pre-shape",
-        "effort",
-        "force",
-        "load",
-        "quality",
-        "dynamics",
-    )
+    numbers = ("score", "intensity", "pre-shape", "effort", "force", "load", "quality")
     rows = [
-        Row(
-            (
-                plan.label,
-                f"{plan.score:.2f}",
-                f"{plan.intensity:.0%}",
-                f"{plan.preshape:.0%}",
-                f"{plan.effort:.0%}",
-                "" if plan.force is None else f"{plan.force:.3g} N",
-                f"{plan.load:.1f}",
-                f"{plan.quality:.3f}",
-                "" if plan.check is None else "held" if plan.check.held else "lost",
-            )
+        (
+            plan.label,
+            f"{plan.score:.2f}",
+            f"{plan.intensity:.0%}",
+            f"{plan.preshape:.0%}",
+            f"{plan.effort:.0%}",
+            "" if plan.force is None else f"{plan.force:.3g} N",
+            f"{plan.load:.1f}",
+            f"{plan.quality:.3f}",
+            "" if plan.check is None else "held" if plan.check.held else "lost",
         )
         for plan in ranking.plans[:top]
     ]
@@ -176,9 +164,12 @@ def _show(ranking: Ranking, top: int) -> None:
         for name, why in ranking.rejected:
             print(f"  {name}: {why}")
         return
-    TextTable(
-        tuple(Column(name, name not in ("action", "dynamics")) for name in columns), tuple(rows)
-    ).show()
+    columns: tuple[str | Column, ...] = (
+        "action",
+        *(Column(name, right=True) for name in numbers),
+        "dynamics",
+    )
+    table_of(columns, rows).show()
     first = ranking.plans[0]
     print(f"\n{first.label}: " + "; ".join(first.reasons))
     print(f"the object in the hand's base frame: {_words(first.pose)}")

@@ -9,7 +9,7 @@ from typing import Any
 
 from rtee.cli._common import JsonOption
 from rtee.cli._fleet import ConnectOptions, WatchOption, show_fleet
-from rtee.cli._table import Column, Row, TextTable
+from rtee.cli._table import Column, table_of
 from rtee.errors import RteeError
 from rtee.hand.catalog import hands as all_hands
 
@@ -61,15 +61,13 @@ def _print(rows: list[dict[str, Any]]) -> None:
     if not rows:
         print("There are no hands yet; 'rtee new NAME --urdf FILE' makes one.")
         return
-    columns = (
+    columns: tuple[str | Column, ...] = (
         Column("hand", whole=True),
-        Column("title"),
-        Column("fingers", right=True),
-        Column("actuators", right=True),
-        Column("joints", right=True),
-        Column("devices"),
+        "title",
+        *(Column(name, right=True) for name in ("fingers", "actuators", "joints")),
+        "devices",
     )
-    TextTable(columns, tuple(Row(_cells(row)) for row in rows if "error" not in row)).show()
+    table_of(columns, (_cells(row) for row in rows if "error" not in row)).show()
     for row in rows:
         if "error" in row:
             print(f"{row['name']}: {row['error']}", file=sys.stderr)

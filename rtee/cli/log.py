@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtee.cli._common import Commands, ConnectOption, JsonOption, RunningOption, to_json, with_hand
-from rtee.cli._table import Column, Row, TextTable
+from rtee.cli._table import Column, table_of
 from rtee.errors import ConfigError, LogError, UserError, foreign, needing_extra
 from rtee.hand.catalog import find_hand
 from rtee.hand.files import temporary_folder
@@ -124,30 +124,30 @@ def _print_safely(line: str) -> None:
 
 def _show_topics(summary: RecordingInfo) -> None:
     columns = (
-        Column("topic"),
-        Column("type"),
+        "topic",
+        "type",
         Column("messages", right=True, whole=True),
         Column("rate [Hz]", right=True, whole=True),
     )
     topics = (
-        Row((*map(foreign, (each.topic, each.type)), str(each.messages), f"{each.rate:.1f}"))
+        (*map(foreign, (each.topic, each.type)), str(each.messages), f"{each.rate:.1f}")
         for each in summary.topics
     )
-    TextTable(columns, tuple(topics)).show()
+    table_of(columns, topics).show()
 
 
 def _show_goals(summary: RecordingInfo) -> None:
     columns = (
         Column("at [s]", right=True, whole=True),
-        Column("goal"),
+        "goal",
         Column("took [s]", right=True, whole=True),
-        Column("outcome"),
+        "outcome",
     )
     spans = (
-        Row((f"{s.start:.2f}", foreign(s.name), f"{s.end - s.start:.2f}", s.outcome))
+        (f"{s.start:.2f}", foreign(s.name), f"{s.end - s.start:.2f}", s.outcome)
         for s in summary.goals
     )
-    TextTable(columns, tuple(spans)).show()
+    table_of(columns, spans).show()
 
 
 @app.command()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned
-from rtee.cli._table import Column, Row, TextTable
+from rtee.cli._table import Column, table_of
 from rtee.errors import ActionError, needing_extra
 from rtee.hand.own_copy import own_place
 
@@ -135,19 +135,19 @@ def _show(library: ActionLibrary, valid: list[Opening]) -> None:
     if not valid:
         return
     flange = library.hand.flange
-    columns = [Column("action"), Column("opening mm", True), Column("sides"), Column("note")]
+    columns: list[str | Column] = ["action", Column("opening mm", right=True), "sides", "note"]
     if flange is not None:
-        columns.insert(2, Column(f"TCP in {flange.frame} mm"))
+        columns.insert(2, f"TCP in {flange.frame} mm")
     rows = []
-    for table in valid:
+    for opening in valid:
         cells = [
-            table.label,
-            f"{table.widest * 1e3:.1f} to {table.narrowest * 1e3:.1f}",
-            " | ".join(", ".join(side) for side in table.sides),
-            table.note,
+            opening.label,
+            f"{opening.widest * 1e3:.1f} to {opening.narrowest * 1e3:.1f}",
+            " | ".join(", ".join(side) for side in opening.sides),
+            opening.note,
         ]
         if flange is not None:
-            ends = tool_centres(library, table)
+            ends = tool_centres(library, opening)
             cells.insert(2, " to ".join(" ".join(f"{1e3 * v:z.1f}" for v in end) for end in ends))
-        rows.append(Row(tuple(cells)))
-    TextTable(tuple(columns), tuple(rows), f"Openings of {library.hand.name}").show()
+        rows.append(cells)
+    table_of(columns, rows, f"Openings of {library.hand.name}").show()

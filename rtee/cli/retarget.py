@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned
-from rtee.cli._table import Column, Row, TextTable
+from rtee.cli._table import Column, table_of
 from rtee.errors import ConfigError, needing_extra
 from rtee.hand.own_copy import own_place
 
@@ -118,16 +118,9 @@ def _show(hand: HandModel, found: Correspondence) -> None:
         if pinch.widths:
             what = f"opens to {pinch.widths[0] * 1e3:.0f} mm from {first}"
         met[second] = what
-    rows = tuple(
-        Row(
-            (
-                name,
-                str(each.human),
-                f"{each.reach * each.scale * 1e3:.0f}",
-                met.get(name, ""),
-            )
-        )
+    rows = (
+        (name, str(each.human), f"{each.reach * each.scale * 1e3:.0f}", met.get(name, ""))
         for name, each in found.fingers.items()
     )
-    columns = (Column("finger"), Column("follows"), Column("reach mm", True), Column("tip"))
-    TextTable(columns, rows, f"What {hand.name} follows").show()
+    columns = ("finger", "follows", Column("reach mm", right=True), "tip")
+    table_of(columns, rows, f"What {hand.name} follows").show()

@@ -25,7 +25,7 @@ from rtee.cli._common import (
     log_to_stderr,
     to_json,
 )
-from rtee.cli._table import Column, Row, TextTable
+from rtee.cli._table import Column, Row, table_of
 from rtee.errors import ConfigError, MessageError, RemoteError, needing_extra, suggestion
 from rtee.hand.catalog import hand_names
 from rtee.hand.names import check_name
@@ -276,13 +276,7 @@ def list_(
     if as_json:
         print(to_json([_as_dict(row) for row in rows]))
         return
-    columns = (
-        Column("name", whole=True),
-        Column("type"),
-        Column("offered by"),
-        Column("used by"),
-        Column("hash"),
-    )
+    columns = (Column("name", whole=True), "type", "offered by", "used by", "hash")
     cells = (
         Row(
             (row.name, row.type, *map(" ".join, (row.offered, row.used)), _short(row.type_hash)),
@@ -290,7 +284,7 @@ def list_(
         )
         for row in rows
     )
-    TextTable(columns, tuple(cells), heading="kind").show()
+    table_of(columns, cells, heading="kind").show()
     for sentence in unheard(everything):
         print(f"rtee: warning: {sentence}", file=sys.stderr)
 

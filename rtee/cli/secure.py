@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtee.cli._common import Commands
-from rtee.cli._table import Column, Row, TextTable
+from rtee.cli._table import Column, table_of
 from rtee.drivers.diagnosis.checks import ok, warning, wrong
 from rtee.errors import ConfigError, needing_extra, suggestion
 from rtee.hand.names import check_name
@@ -145,12 +145,11 @@ def list_(hand: HandArgument) -> None:
     known = Credentials(_folder(hand))
     known.read()
     rows = [
-        Row((p.name, p.role.name.lower(), _date(p.until), _state(p.until, p.revoked)))
+        (p.name, p.role.name.lower(), _date(p.until), _state(p.until, p.revoked))
         for p in known.people
     ]
     print(f"{hand}: certificate until {_date(known.until)}, in {known.folder}")
-    columns = (Column("client", whole=True), Column("role"), Column("until"), Column(""))
-    TextTable(columns, tuple(rows)).show()
+    table_of((Column("client", whole=True), "role", "until", ""), rows).show()
 
 
 def checks(name: str, service: Needs | None = None) -> list[Check]:

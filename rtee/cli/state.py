@@ -10,7 +10,7 @@ import typer
 
 from rtee import monotonic
 from rtee.cli._common import ConnectOption, RunningOption, to_json, with_hand
-from rtee.cli._table import Column, Row, TextTable, on_terminal, prefix_to_drop
+from rtee.cli._table import Column, Row, TextTable, on_terminal, prefix_to_drop, table_of
 from rtee.sample import COLUMNS, MEASURED
 
 if TYPE_CHECKING:
@@ -109,26 +109,18 @@ def _print(name: str, newest: State, touch: Touch, as_json: bool) -> None:
 
 def _touch_table(touch: Touch, now: float) -> TextTable:
     """Return a table of the touch sensors: sum, largest taxel and age of the values."""
-    columns = tuple(
-        Column(name, right=right, whole=True)
-        for name, right in (
-            ("touch sensor", False),
-            ("finger", False),
-            ("sum", True),
-            ("largest", True),
-            ("unit", False),
-            ("age [ms]", True),
-        )
-    )
+    names = ("touch sensor", "finger", "sum", "largest", "unit", "age [ms]")
+    numbers = ("sum", "largest", "age [ms]")
+    columns = [Column(name, right=name in numbers, whole=True) for name in names]
     rows = []
     for state in touch.values():
         age = "stale" if state.stale else f"{max(0.0, 1e3 * (now - state.stamp)):.0f}"
         for sensor, total in zip(state.sensors, state.totals.tolist(), strict=True):
             largest = float(state.of(sensor.name).max())
-            numbers = (_number(total, _DIGITS), _number(largest, _DIGITS))
-            cells = (sensor.name, sensor.finger or "–", *numbers, sensor.unit, age)
+            forces = (_number(total, _DIGITS), _number(largest, _DIGITS))
+            cells = (sensor.name, sensor.finger or "–", *forces, sensor.unit, age)
             rows.append(Row(cells, faint=state.stale))
-    return TextTable(columns, tuple(rows))
+    return table_of(columns, rows)
 
 
 def _plain_touch(touch: Touch) -> dict[str, Any]:
@@ -185,8 +177,8 @@ def _table(name: str, newest: State) -> TextTable:
     rows = []
     for i, actuator in enumerate(newest.names):
         values = [_number(float(getattr(newest, c)[i]), _COLUMNS[c].digits) for c in measured]
-        rows.append(Row((actuator.removeprefix(prefix), *values)))
-    return TextTable(tuple(columns), tuple(rows), title)
+        rows.append((actuator.removeprefix(prefix), *values))
+    return table_of(columns, rows, title)
 
 
 def _number(value: float, digits: int) -> str:

@@ -12,7 +12,7 @@ import typer
 
 from rtee.cli._common import ConnectOption, JsonOption, RunningOption, to_json, with_hand
 from rtee.cli._fleet import ConnectOptions, WatchOption, show_fleet
-from rtee.cli._table import Column, Row, TextTable, on_terminal
+from rtee.cli._table import Column, on_terminal, table_of
 from rtee.errors import ConfigError, suggestion
 from rtee.types import Lifecycle
 
@@ -94,18 +94,18 @@ def _show_devices(devices: Sequence[DeviceStatus]) -> None:
         )
         for device in devices
     ]
-    columns = (
+    columns: tuple[str | Column, ...] = (
         Column("device", whole=True),
-        Column("driver"),
+        "driver",
         Column("state", whole=True),
         *(Column(name, right=True, whole=True) for name in ("rate", "age", "errors", "overruns")),
-        Column("remarks"),
+        "remarks",
     )
     if not on_terminal():
-        TextTable(columns, tuple(Row(cells) for cells in rows)).show()
+        table_of(columns, rows).show()
         return
     # Remarks are sentences; beside seven columns, they would be wrapped at every word.
-    TextTable(columns[:-1], tuple(Row(cells[:-1]) for cells in rows)).show()
+    table_of(columns[:-1], (cells[:-1] for cells in rows)).show()
     for name, *_, remarks in rows:
         if remarks:
             print(f"{name}: {remarks}")
@@ -223,11 +223,11 @@ def _shown(names: Sequence[str], values: Sequence[float], actuator: str | None) 
 
 def _show_gains(by_device: Mapping[str, Mapping[str, float]]) -> None:
     rows = [
-        Row((device, name, "unknown" if math.isnan(value) else f"{value:.6g}"))
+        (device, name, "unknown" if math.isnan(value) else f"{value:.6g}")
         for device, values in by_device.items()
         for name, value in values.items()
     ]
-    TextTable((Column("device"), Column("gain"), Column("value", right=True)), tuple(rows)).show()
+    table_of(("device", "gain", Column("value", right=True)), rows).show()
 
 
 def info(
@@ -271,34 +271,30 @@ def _show_info(description: HandInfo) -> None:
     columns = ("actuator", "kind", "lower", "upper", "velocity", "effort", "stiffness", "fingers")
     numbers = columns[2:7]
     rows = [
-        Row(
-            (
-                each.name,
-                str(each.kind),
-                *(_number(getattr(each, name)) for name in numbers),
-                ", ".join(each.fingers),
-            )
+        (
+            each.name,
+            str(each.kind),
+            *(_number(getattr(each, name)) for name in numbers),
+            ", ".join(each.fingers),
         )
         for each in description.actuators
     ]
-    TextTable(tuple(Column(name, right=name in numbers) for name in columns), tuple(rows)).show()
+    table_of((Column(name, right=name in numbers) for name in columns), rows).show()
     print("rad, rad/s, N·m, N·m/rad; prismatic ones: m, m/s, N, N/m\n")
     tips = [
-        Row(
-            (
-                each.name,
-                each.tip or "-",
-                _number(each.friction),
-                ""
-                if each.tip_pose is None
-                else ", ".join(f"{1e3 * value:.1f}" for value in each.tip_pose[:3, 3]),
-                ", ".join(each.actuators),
-            )
+        (
+            each.name,
+            each.tip or "-",
+            _number(each.friction),
+            ""
+            if each.tip_pose is None
+            else ", ".join(f"{1e3 * value:.1f}" for value in each.tip_pose[:3, 3]),
+            ", ".join(each.actuators),
         )
         for each in description.fingers
     ]
-    heads = ("finger", "tip", "friction", "tip at [mm]", "moved by")
-    TextTable(tuple(Column(name, right=name == "friction") for name in heads), tuple(tips)).show()
+    heads = ("finger", "tip", Column("friction", right=True), "tip at [mm]", "moved by")
+    table_of(heads, tips).show()
     for sentence in description.missing:
         print(f"note: {sentence}")
 

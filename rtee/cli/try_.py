@@ -20,7 +20,7 @@ from rtee.cli._sweep import (
     tell_of_limits,
     tell_of_meshes,
 )
-from rtee.cli._table import Column, Row, TextTable, on_terminal
+from rtee.cli._table import Column, on_terminal, table_of
 from rtee.errors import ConfigError, needing_extra, suggestion
 from rtee.hand.files import make_folder
 from rtee.units import FORCE as NEWTONS
@@ -338,9 +338,9 @@ def _table(results: Sequence[TrialResult]) -> None:
     print(f"{what} what was held: {held} of {fitting} that fit")
     # On a terminal there is room for the size only below the kind of an object.
     names = [shape.replace(":", "\n") if on_terminal() else shape for shape in shapes]
-    columns = (Column("action"), *(Column(name, right=True) for name in names))
-    lines = [Row((name, *(row.get(shape, "") for shape in shapes))) for name, row in rows.items()]
-    TextTable(columns, tuple(lines)).show()
+    columns: tuple[str | Column, ...] = ("action", *(Column(name, right=True) for name in names))
+    lines = ((name, *(row.get(shape, "") for shape in shapes)) for name, row in rows.items())
+    table_of(columns, lines).show()
 
 
 _TASK_VARIATIONS: Final = 6
