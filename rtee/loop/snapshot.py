@@ -11,7 +11,8 @@ from __future__ import annotations
 import json
 import sys
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from types import BuiltinMethodType, MappingProxyType, MethodType
 from typing import Any, NamedTuple
@@ -94,6 +95,15 @@ def _names(value: object) -> Iterator[str]:
                 yield name
 
 
+def _fields(kind: type[Any], there: object) -> list[str]:
+    """Return the fields of a class; ``there`` is an object of it, if there is one."""
+    if type(there) is kind:
+        return [*_names(there)]
+    if is_dataclass(kind):
+        return [each.name for each in fields(kind)]
+    return [name for each in kind.__mro__ for name in each.__dict__.get("__slots__", ())]
+
+
 def encode(snapshot: Snapshot) -> list[Any]:
     """Return a state as lists for JSON, one per object; raises `TypeError` for an unknown class."""
     places = {key: place for place, key in enumerate(snapshot.nodes)}
@@ -127,13 +137,34 @@ def _node(value: Any, parts: list[Any], given: str | None) -> list[Any]:
     return ["object", name, dict(zip(_names(value), parts, strict=True))]
 
 
-def restore(controller: Controller, nodes: list[Any]) -> None:
-    """Set the state of a new controller; raises `LogError` if the lists do not describe one."""
+def restore(controller: Controller, nodes: list[Any]) -> tuple[str, ...]:
+    """Set the state of a new controller.
+
+    Returns:
+        Fields that the lists lack, as ``class.field``: another version wrote them. The controller
+        keeps the value that it began with, if it has such an object; else the field stays unset.
+
+    Raises:
+        LogError: if the lists do not describe a state.
+    """
+    restoring = _Restoring(controller, nodes)
     try:
-        _Restoring(controller, nodes).value([0], controller)
+        restoring.value([0], controller)
         controller.restored()
     except (AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
+        if isinstance(error, AttributeError) and restoring.lacking:
+            raise LogError(lacks(restoring.lacking)) from None
         raise LogError(f"contains an invalid state of the controller: {error}") from None
+    return tuple(restoring.lacking)
+
+
+def lacks(names: Iterable[str]) -> str:
+    """Return the sentence about fields that a recorded state lacks."""
+    return (
+        "begins with the controller state of another version of rtee, which lacks "
+        f"{', '.join(names)}: recompute it with that version, or together with the files before "
+        "it, from the loop's start on (--series)"
+    )
 
 
 class _Restoring:
@@ -149,6 +180,7 @@ class _Restoring:
         }
         self._nodes = nodes
         self._made: dict[int, Any] = {}
+        self.lacking: dict[str, None] = {}  # as an ordered set
 
     def value(self, part: Any, there: Any) -> Any:
         """Return a part; ``there`` is its counterpart in a new controller."""
@@ -168,6 +200,9 @@ class _Restoring:
             made = self._made[place] = there if type(there) is its else object.__new__(its)
             for name, part in parts[1].items():
                 object.__setattr__(made, name, self.value(part, getattr(made, name, None)))
+            for name in _fields(its, there):
+                if name not in parts[1]:
+                    self.lacking[f"{its.__name__}.{name}"] = None
         elif kind == "list":
             made = self._made[place] = []
             made += [self.value(part, None) for part in parts]

@@ -133,7 +133,14 @@ async def test_references_come_out_again(
     again = check(later)
     assert again.same, again.first
     assert again.ticks >= len(later.reference) - 1
+    assert not again.lacking
     assert later.results[0].value.goal_id == "on its way"
+    # A field that this version needs, and one that a new controller has, too.
+    with pytest.raises(LogError, match=r"lacks _Run\.plan: recompute it with that version, or "):
+        check(without(later, "rtee.loop.executor:_Run", "plan"))
+    fewer = check(without(later, "rtee.loop.thermal:Thermal", "_again"))
+    assert fewer.lacking == ("Thermal._again",)
+    assert "lacks Thermal._again" in fewer.note
     unknown = {"attachments": {k: v for k, v in later.attachments.items() if k != STATE}}
     with pytest.raises(LogError, match="only what was recorded from the loop's start"):
         check(replace(later, **unknown))
@@ -359,6 +366,17 @@ async def test_a_part_may_begin_and_end_between_a_tick_and_its_result(
     assert check(
         replace(between(found, 1, None), attachments={**found.attachments, STATE: begin})
     ).same
+
+
+def without(recorded: Recording, kind: str, name: str) -> Recording:
+    """Return a recording whose controller state is that of a version without a field."""
+    state = json.loads(recorded.attachments[STATE])
+    for node in state["nodes"]:
+        if node[:2] == ["object", kind]:
+            del node[2][name]
+    return replace(
+        recorded, attachments=recorded.attachments | {STATE: json.dumps(state).encode()}
+    )
 
 
 def between(whole: Recording, first: int, end: int | None) -> Recording:
