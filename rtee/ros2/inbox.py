@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -67,6 +67,33 @@ class Limit:
                 self._left, self._until = self._rate, now + 1.0
             self._left -= 1
             return self._left >= 0
+
+
+class SharedLimit:
+    """Limits the events in each interval of one second, and shares them among their causes.
+
+    Each cause may take as many as it leaves: alone, half of the limit; two, a third each. So
+    however many events one of them causes, the next one finds some left. May be called from any
+    thread.
+    """
+
+    def __init__(self, rate: int) -> None:
+        self._rate, self._left, self._until = rate, rate, 0.0
+        self._taken: Counter[bytes] = Counter()
+        self._lock = threading.Lock()
+
+    def passes(self, cause: bytes) -> bool:
+        """Count an event of a cause and return whether it is within the limit."""
+        with self._lock:
+            now = monotonic.now()
+            if now >= self._until:
+                self._left, self._until = self._rate, now + 1.0
+                self._taken.clear()
+            if self._taken[cause] >= self._left:
+                return False
+            self._left -= 1
+            self._taken[cause] += 1
+            return True
 
 
 class Inbox(Generic[T]):

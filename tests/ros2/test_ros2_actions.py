@@ -19,7 +19,7 @@ from rtee.ros2 import Context, Node
 from rtee.ros2.action_client import ActionClient, ClientGoal
 from rtee.ros2.action_server import ActionServer, Offer, ServerGoal
 from rtee.ros2.actions import ActionOutcome, GoalState, Refusal
-from rtee.ros2.inbox import Limit
+from rtee.ros2.inbox import SharedLimit
 
 pytestmark = pytest.mark.anyio
 
@@ -284,7 +284,7 @@ async def test_a_server_that_drops_a_request_is_not_gone(settings: Ros2Settings)
     async with working(settings) as works:
         goal = await works.send()
         _, service = works.server._offered[0]._services
-        service._limit = Limit(0)
+        service._limit = SharedLimit(0)
         with pytest.raises(NoHand, match="gives no result"):
             await goal.result(20)
         assert works.client.available

@@ -6,6 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -14,9 +15,9 @@ import pytest
 import zenoh
 
 from rtee.hand.config_schema import Ros2Settings
-from rtee.ros2 import Context, attachments, endpoints, participant
+from rtee.ros2 import Context, attachments, endpoints, inbox, participant
 from rtee.ros2.endpoints import LONGEST
-from rtee.ros2.inbox import Inbox, Limit, WarningLog
+from rtee.ros2.inbox import Inbox, Limit, SharedLimit, WarningLog
 
 from .test_ros2_nodes import STRING, TRIGGER, until
 
@@ -204,6 +205,55 @@ async def test_a_client_of_many_requests_delays_no_other(
             await until(lambda: len(ended) == 3)
             assert ended == [101, 100, 99]
             held.set()
+
+
+async def test_a_flood_of_one_client_leaves_requests_to_others(
+    settings: Ros2Settings, peer: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # One second for all requests, however long they take here.
+    monkeypatch.setattr(inbox, "monotonic", SimpleNamespace(now=lambda: 1.0))
+    async with Context.open(settings, {}) as context, Context.open(settings, {}) as other:
+        trigger = context.interfaces.service(TRIGGER)
+        calls: list[int] = []
+
+        async def answer(request: Any) -> Any:
+            calls.append(1)
+            return trigger.response(success=True)
+
+        context.node("hand").service("/flooded", trigger, answer)
+        client = other.node("other").client("/flooded", TRIGGER)
+        await client.wait(20)
+        key, greedy = f"0/flooded/std_srvs::srv::dds_::Trigger_/{trigger.hash}", peer()
+        with greedy.declare_querier(key) as querier:
+            await until(lambda: querier.matching_status.matching)
+        ended: list[int] = []
+        asked = 3 * endpoints._MOST_A_SECOND
+        for number in range(asked):
+            greedy.get(
+                key,
+                zenoh.handlers.Callback(
+                    lambda reply: None, lambda: ended.append(1), indirect=False
+                ),
+                payload=trigger.request().encode(),
+                attachment=numbered(number),
+                timeout=30,
+            )
+        await until(lambda: len(ended) == asked)
+        assert len(calls) <= endpoints._MOST_A_SECOND / 2
+        assert (await client.call(client.type.request(), 20)).success
+
+
+def test_a_limit_is_shared(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = SimpleNamespace(now=lambda: 1.0)
+    monkeypatch.setattr(inbox, "monotonic", clock)
+    limit = SharedLimit(60)
+    assert [limit.passes(b"a") for _ in range(100)].count(True) == 30
+    assert [limit.passes(b"b") for _ in range(100)].count(True) == 15
+    clock.now = lambda: 2.0
+    both = [(limit.passes(b"a"), limit.passes(b"b")) for _ in range(100)]
+    assert both.count((True, True)) == both.index((False, False)) == 20
+    clock.now = lambda: 3.0
+    assert sum(limit.passes(str(n).encode()) for n in range(100)) == 60
 
 
 async def test_nodes_that_come_and_go_leave_nothing(
