@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import AsyncIterator
@@ -33,4 +34,5 @@ async def main() -> None:
 
 
 if __name__ == "__main__":
-    anyio.run(main)
+    with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C ends it: the hand brakes and holds
+        anyio.run(main)

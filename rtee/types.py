@@ -690,6 +690,7 @@ class EventKind(StrEnum):
     CLIENT_LOST = "client_lost"
     AGENTS_ADMITTED = "agents_admitted"
     ACTIONS_CHANGED = "actions_changed"
+    LOOP_PAUSED = "loop_paused"
     IDLE = "idle"
     STOP = "stop"
     AT_REST = "at_rest"

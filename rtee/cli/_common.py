@@ -494,17 +494,18 @@ def with_hand(
         began, within = monotonic.now(), wait or 0.0
         name = f"rtee-{what}"
         async with connect(
-            hand, endpoint=endpoint, client=name, wait=within, on_wait=_waiting if wait else None
+            hand, endpoint=endpoint, client=name, wait=within, on_wait=waiting if wait else None
         ) as remote:
             if wait is not None:
                 # Connecting has used up part of the time.
-                await remote.ready(max(0.0, began + wait - monotonic.now()), _waiting)
+                await remote.ready(max(0.0, began + wait - monotonic.now()), waiting)
             return await function(remote)
 
     return anyio.run(main)
 
 
-def _waiting(text: str) -> None:
+def waiting(text: str) -> None:
+    """Print what a command waits for, beside its output."""
     print(f"rtee: waiting: {text}", file=sys.stderr, flush=True)
 
 

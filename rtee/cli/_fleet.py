@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtee.cli._common import to_json
+from rtee.cli._common import to_json, waiting
 from rtee.cli._table import Column, Row, TextTable, on_terminal, table_of
 from rtee.errors import NoHand
 
@@ -41,9 +41,14 @@ def show_fleet(
 
     from rtee.remote.fleet import following
 
+    where = f"at {', '.join(connect)}" if connect else "on this computer"
+
     async def main() -> None:
         async with following(connect, names, here=not connect) as fleet:
             await fleet.known()
+            nobody = f"no hand is running {where}; start one with 'rtee run HAND'"
+            if watch and not as_json and not await fleet.look():
+                waiting(nobody)
             if watch and on_terminal() and not as_json:
                 from rich.console import Console
                 from rich.live import Live
@@ -63,8 +68,7 @@ def show_fleet(
                     break
                 await anyio.sleep(_EVERY)
         if not looks and not as_json:
-            where = f"at {', '.join(connect)}" if connect else "on this computer"
-            raise NoHand(f"no hand is running {where}; start one with 'rtee run HAND'")
+            raise NoHand(nobody)
 
     anyio.run(main)
 

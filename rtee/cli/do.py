@@ -138,7 +138,8 @@ async def follow(remote: RemoteHand, start: Awaitable[RunningGoal], title: str) 
             with contextlib.suppress(RteeError):  # the goal says it, too
                 async for event in events:
                     if event.kind == EventKind.SLOWED:
-                        console.print(event.text)
+                        # One line, whatever the width, and brackets in it are no markup.
+                        console.print(event.text, markup=False, highlight=False, soft_wrap=True)
 
         result = await _interruptible(start, bars.show, tell_speed)
         # The last feedback may come from shortly before the end.

@@ -76,9 +76,12 @@ def find_hand(name: str, extra: Sequence[Path | str] = ()) -> Path:
     """
     check_name(name, "hand")
     for folder in config_dirs(extra):
+        file = folder / name / FILE_NAME
         # Path.is_file would raise an error in a folder without access.
-        if os.path.isfile(folder / name / FILE_NAME):
+        if os.path.isfile(file):
             return folder / name
+        if os.path.lexists(file):
+            raise ConfigError("is not a file", path=file)
     raise ConfigError(
         f"unknown hand '{name}'; {suggestion(name, hand_names(extra))} ('rtee hands' lists them, "
         f"'rtee new' makes one)"

@@ -57,6 +57,9 @@ ITSELF = "rtee"
 GRIP_EFFORT = "grip_effort"
 """The hand's own gain: effort kept on a held object, as a fraction of the effort limit."""
 
+_LONG_PAUSE = 1.0
+"""A loop that did not run for so long says so [s]: longer than a busy computer delays it, and long
+enough for devices with a watchdog to have stopped."""
 
 _ROUNDED = 1e-4
 """A position at most this far beyond a limit is a rounding error of the client [rad | m]."""
@@ -119,6 +122,7 @@ class HandLoop:
         self._waiters: dict[str, tuple[anyio.Event, list[Result]]] = {}
         self._status_at = -math.inf
         self._busy_at = math.inf
+        self._long_pause = round(_LONG_PAUSE * settings.rate)  # in ticks
         self._ended = False
 
     @property
@@ -199,6 +203,8 @@ class HandLoop:
         # Move: send the reference. A device that answers at once is also read again here.
         sent = position, velocity, effort
         devices.move(tick.number, sent, controller.max_velocity, controller.starts.unplaced)
+        if tick.missed >= self._long_pause:
+            self._report_pause(tick.missed, stamp)
         # The record comes last: nothing that the devices wait for depends on it.
         self._record = TickRecord(
             *measured_arrays(state.sample),
@@ -277,6 +283,14 @@ class HandLoop:
             for device in self.devices.values():
                 if hot.intersection(device.indices):
                     self._start(device.disable, CONFIRM_WITHIN)
+
+    def _report_pause(self, missed: int, stamp: float) -> None:
+        seconds = missed / self.settings.rate
+        text = (
+            f"{self.name}: the loop did not run for {seconds:.1f} s, so its devices got no "
+            "references: its process was stopped, or the computer too busy"
+        )
+        self._observers.event(Event("loop_paused", self.name, text, stamp, "warning"))
 
     def _disable_when_idle(self, stamp: float, within: float) -> None:
         """Disable the hand once it has been idle for ``within`` seconds."""

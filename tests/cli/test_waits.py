@@ -84,3 +84,16 @@ def test_the_first_word_is_the_hand_that_is_waited_for(
     with pytest.raises(SystemExit):
         main()
     assert "the hand 'schunk_svh' is not running on this computer" in capsys.readouterr().err
+
+
+def test_a_watch_of_no_hand_says_that_it_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("RTEE_CONNECT", raising=False)
+    words = [*RTEE, "status", "--watch"]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as watching:
+        assert watching.stderr is not None
+        told = watching.stderr.readline()
+        watching.kill()
+    assert told.startswith("rtee: waiting: no hand is running on this computer; start one with")

@@ -98,6 +98,12 @@ def test_unknown_hand(configured: Path) -> None:
         find_hand("../gripper", [configured])
 
 
+def test_a_folder_in_the_place_of_the_file(configured: Path) -> None:
+    (configured / "other" / "hand.yaml").mkdir(parents=True)
+    with pytest.raises(ConfigError, match=r"other/hand\.yaml: is not a file"):
+        find_hand("other", [configured])
+
+
 def rtee(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [*RTEE, *arguments],

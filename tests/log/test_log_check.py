@@ -374,9 +374,7 @@ def without(recorded: Recording, kind: str, name: str) -> Recording:
     for node in state["nodes"]:
         if node[:2] == ["object", kind]:
             del node[2][name]
-    return replace(
-        recorded, attachments=recorded.attachments | {STATE: json.dumps(state).encode()}
-    )
+    return replace(recorded, attachments=recorded.attachments | {STATE: json.dumps(state).encode()})
 
 
 def between(whole: Recording, first: int, end: int | None) -> Recording:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rtee.hand.model import Hand
-from rtee.types import Goal, Lifecycle, Named
+from rtee.types import EventKind, Goal, Lifecycle, Named
 
 from .hands import NAMES, running
 
@@ -39,3 +39,20 @@ async def test_goal_is_reached(hand: Hand) -> None:
         assert progress[-1] == 1.0
         assert set(result.position) == set(NAMES)
         assert rig.watcher.goals[0][0] == Goal(Named("Trig", ("index",)), goal_id=result.goal_id)
+
+
+async def test_a_loop_that_did_not_run_says_so_and_moves_on_without_a_jump(hand: Hand) -> None:
+    async with running(hand) as rig:
+        rig.loop.submit(Goal(Named("Trig", ("index",))))
+        await rig.run(0.1)
+        before = list(rig.loop.controller.reference_position)
+        missed = round(5.0 * rig.clock.rate)
+        rig.loop.tick(rig.clock.next(missed=missed))
+        after = rig.loop.controller.reference_position
+        limits = [spec.velocity / rig.clock.rate for spec in hand.actuators]
+        moved = [abs(new - old) for new, old in zip(after, before, strict=True)]
+        assert all(step <= limit for step, limit in zip(moved, limits, strict=True))
+        [event] = [each for each in rig.watcher.events if each.kind == EventKind.LOOP_PAUSED]
+        assert "did not run for 5.0 s" in event.text
+        rig.loop.tick(rig.clock.next(missed=round(0.9 * rig.clock.rate)))
+        assert rig.watcher.kinds().count(EventKind.LOOP_PAUSED) == 1
