@@ -13,8 +13,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, AttachmentIndex, Footer, SummaryOffset
 
 from rtee.errors import LogError
-from rtee.log.record_scanner import MAGIC, R, parsed
-from rtee.messages.mcap_chunk import HEAD, records_of
+from rtee.log.record_scanner import R, parsed
+from rtee.messages.mcap_chunk import HEAD, MAGIC, records_of
 
 DIGEST = "digest"
 """Name of the last attachment: goals, results, events and counts, as lines of JSON in a stream of

@@ -19,7 +19,6 @@ from rtee.log.brief import DIGEST, INDEX_ENTRY, SECOND
 from rtee.log.record_scanner import (
     DAMAGE,
     LATEST,
-    MAGIC,
     DamagedRecordError,
     Record,
     messages_of,
@@ -27,7 +26,7 @@ from rtee.log.record_scanner import (
     scan,
 )
 from rtee.log.rotation import METADATA, being_written
-from rtee.messages.mcap_chunk import HEAD, records_of
+from rtee.messages.mcap_chunk import HEAD, MAGIC, records_of
 
 _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 _INDEX_HEAD = struct.Struct("<HI")

@@ -39,7 +39,7 @@ from rtee.hand.files import flush_to_disk
 from rtee.log.brief import DIGEST, LARGEST_DIGEST
 from rtee.log.chunks import PackedChunk, record_bytes
 from rtee.log.digest import Digest
-from rtee.log.record_scanner import MAGIC
+from rtee.messages.mcap_chunk import MAGIC
 
 PROFILE = "ros2"
 

@@ -16,9 +16,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk, McapRecord
 
-from rtee.messages.mcap_chunk import HEAD, LARGEST_CHUNK, DamagedChunkError, decompressed
-
-MAGIC = b"\x89MCAP0\r\n"
+from rtee.messages.mcap_chunk import HEAD, LARGEST_CHUNK, MAGIC, DamagedChunkError, decompressed
 
 DAMAGE = 0
 """Stands for the opcode of bytes that are no record; no record has this one."""

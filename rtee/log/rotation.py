@@ -18,8 +18,8 @@ from mcap.records import Metadata
 
 from rtee.errors import LogError
 from rtee.log.brief import SECOND
-from rtee.log.record_scanner import MAGIC, parsed
-from rtee.messages.mcap_chunk import records_of
+from rtee.log.record_scanner import parsed
+from rtee.messages.mcap_chunk import MAGIC, records_of
 
 if TYPE_CHECKING:
     from rtee.log.settings import RecorderSettings

@@ -14,6 +14,9 @@ from collections.abc import Iterator
 import zstandard
 from mcap.records import Chunk
 
+MAGIC = b"\x89MCAP0\r\n"
+"""The first and the last bytes of a file."""
+
 HEAD = struct.Struct("<BQ")
 """Layout of the head of a record: opcode and length of the content."""
 

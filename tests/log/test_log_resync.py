@@ -16,9 +16,9 @@ from rtee.cli.log import app
 from rtee.errors import LogError
 from rtee.log import Recording, read
 from rtee.log.file_index import index_file
-from rtee.log.record_scanner import DAMAGE, MAGIC, Record, scan
+from rtee.log.record_scanner import DAMAGE, Record, scan
 from rtee.log.recover import recover
-from rtee.messages.mcap_chunk import HEAD
+from rtee.messages.mcap_chunk import HEAD, MAGIC
 
 HUGE = struct.pack("<Q", 2**63 + 5)
 """A length that no file has."""

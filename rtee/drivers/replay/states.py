@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from rtee.errors import LogError, MessageError
 from rtee.messages import convert
 from rtee.messages.codec import channels_of
-from rtee.messages.mcap_chunk import HEAD, decompressed, records_of
+from rtee.messages.mcap_chunk import HEAD, MAGIC, decompressed, records_of
 from rtee.messages.schema import MessageType, message_type, recorded_type
 from rtee.messages.tick_columns import decode_ticks
 from rtee.messages.topics import (
@@ -88,6 +89,7 @@ class RecordedStates:
         except OSError as error:
             raise LogError(f"cannot be opened: {error.strerror}", path=path) from error
         try:
+            self._check_ends()
             # Only for the summary: the package's reader of messages decompresses to any size.
             self._summary = make_reader(self._file).get_summary()
             self._topic = self._choose(hand)
@@ -101,6 +103,15 @@ class RecordedStates:
         except (*_DAMAGE, MessageError) as error:
             self._file.close()
             raise LogError(f"is not a recording: {error}", path=path) from error
+
+    def _check_ends(self) -> None:
+        """Tell a file of another kind from a recording whose writer was killed."""
+        if self._file.read(len(MAGIC)) != MAGIC:
+            raise LogError("is not an MCAP file", path=self.path)
+        self._file.seek(-len(MAGIC), os.SEEK_END)
+        if self._file.read() != MAGIC:
+            raise LogError("was not closed; `rtee log recover` repairs it", path=self.path)
+        self._file.seek(0)
 
     def _choose(self, hand: str) -> str:
         summary = self._summary

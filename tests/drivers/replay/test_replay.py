@@ -290,15 +290,18 @@ def test_a_recording_of_one_other_hand_will_do(tmp_path: Path) -> None:
 def test_files_that_cannot_be_played_are_refused(tmp_path: Path) -> None:
     junk = tmp_path / "junk.mcap"
     junk.write_bytes(b"no recording at all")
+    nothing = tmp_path / "nothing.mcap"
+    nothing.touch()
     cases = [
         (tmp_path / "missing.mcap", ("thumb",), "cannot be opened"),
-        (junk, ("thumb",), "is not a recording"),
+        (junk, ("thumb",), "is not an MCAP file"),
+        (nothing, ("thumb",), "is not an MCAP file"),
         (write(tmp_path / "empty.mcap", count=0), ("thumb",), "contains no states"),
         (write(tmp_path / "short.mcap", count=2), ("ring",), "no states of the actuator 'ring'"),
         (
             write(tmp_path / "cut.mcap", count=5, finish=False),
             ("thumb",),
-            "recover|not a recording",
+            "was not closed; `rtee log recover` repairs it",
         ),
     ]
     for path, actuators, reason in cases:
