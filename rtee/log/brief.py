@@ -74,6 +74,8 @@ class Brief:
 def brief(path: Path) -> Brief | None:
     """Read the summary at a file's end; ``None`` if rtee has not closed the file."""
     try:
+        if not path.is_file():  # opening a named pipe would wait for its writer
+            return None
         with path.open("rb") as stream:
             if stream.read(len(MAGIC)) != MAGIC:
                 return None

@@ -91,7 +91,7 @@ def recover(
                 "them",
                 path=path,
             )
-        with replaced(target) as temporary:
+        with failing("cannot be written", target, LogError), replaced(target) as temporary:
             file = McapFile(temporary, _preamble(content), sync=False)
             try:
                 for chunk in _chunks(content, stream):

@@ -192,7 +192,9 @@ def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -
         # Not the flight recorder's files, which contain only the time before a fault.
         parts = [file for file in recordings(path) if file.part is not None]
         if not parts:
-            raise LogError("there is no recording in this folder", path=path)
+            others = any(path.glob("*.mcap"))
+            text = "; give the file, since none is named HAND_TIME_PART.mcap" if others else ""
+            raise LogError(f"there is no recording in this folder{text}", path=path)
         return parts_of(parts[-1].path)
     return parts_of(path) if series else [path]
 

@@ -20,8 +20,10 @@ from mcap.records import Chunk
 from rtee_process import RTEE
 
 from rtee.cli import main
+from rtee.drivers.replay.states import RecordedStates
 from rtee.errors import LogError
 from rtee.log import read
+from rtee.log.brief import brief
 from rtee.log.check import check
 from rtee.log.chunks import MESSAGE, record_bytes
 from rtee.log.column_reader import walk
@@ -196,6 +198,9 @@ def test_a_named_pipe_keeps_nobody_waiting(story: Path) -> None:
         for work in (read, recover):
             with pytest.raises(LogError, match="is not a file"):
                 work(pipe)
+        assert brief(pipe) is None
+        with pytest.raises(LogError, match="is not a file"):
+            RecordedStates(pipe, "claw", ("thumb",))
     finally:
         pipe.unlink()
 

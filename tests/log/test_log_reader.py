@@ -238,8 +238,12 @@ def test_other_files_are_refused(tmp_path: Path, content: bytes | None, text: st
 
 
 def test_a_folder_means_its_newest_recording(claw: Hand, tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="no recording in this folder"):
+    with pytest.raises(LogError, match=r"no recording in this folder$"):
         read(tmp_path)
+    (tmp_path / "renamed.mcap").touch()
+    with pytest.raises(LogError, match=r"give the file, since none is named HAND_TIME_PART\.mcap"):
+        read(tmp_path)
+    (tmp_path / "renamed.mcap").unlink()
     log = Log(claw, settings(tmp_path))
     log.run(0, 10)
     log.writer.stop()

@@ -84,6 +84,8 @@ class RecordedStates:
 
     def __init__(self, path: Path, hand: str, actuators: tuple[str, ...]) -> None:
         self.path = path
+        if path.exists() and not path.is_file():  # opening a named pipe would wait for its writer
+            raise LogError("is not a file", path=path)
         try:
             self._file = path.open("rb")
         except OSError as error:
