@@ -535,7 +535,9 @@ class Goal(Value):
                 if isinstance(self.speed, TipSpeed):
                     raise GoalRejected(f"a speed in m/s {_NEEDS_OPENING}")
                 if isinstance(self.what, Fingers):
-                    raise GoalRejected("an intensity needs the name of an action")
+                    raise GoalRejected(
+                        "the goal names no action: only an opening, a width or a touch needs none"
+                    )
             case FirstContact() if isinstance(self.effort, Force) or self.on_contact:
                 raise GoalRejected("a touch takes no force or on_contact: it stops by itself")
             case FirstContact() | Opening() | Around():

@@ -24,6 +24,7 @@ from rtee.cli._common import (
     check_files,
     log_to_stderr,
     to_json,
+    waiting,
 )
 from rtee.cli._table import Column, Row, table_of
 from rtee.errors import ConfigError, MessageError, RemoteError, needing_extra, suggestion
@@ -189,11 +190,12 @@ def _in_graph(
 async def _the_type(context: Context, sort: Sort, name: str, given: str | None) -> str:
     """Return the type given for a topic, service or action, otherwise its type in the graph.
 
-    Raises `ConfigError` if no type is given and the graph has none, or several.
+    Raises `ConfigError` if no type is given and the graph has none, or several, or if a service or
+    action has another one.
     """
-    from rtee.ros2.listing import listed
+    from rtee.ros2.listing import Sort, listed
 
-    if given is not None:
+    if given is not None and sort is Sort.TOPIC:  # whose publishers may come later
         return given
 
     def offered() -> list[Listed]:
@@ -207,6 +209,12 @@ async def _the_type(context: Context, sort: Sort, name: str, given: str | None) 
     with anyio.move_on_after(_NEW):
         await context.graph.wait_until(lambda: bool(kinds()))
     types = kinds()
+    if given is not None:
+        if types and given not in types:
+            raise ConfigError(f"the {sort} {name} has the type {' and '.join(types)}, not {given}")
+        if not types:
+            waiting(f"no node offers the {sort} {name}")
+        return given
     if not types:
         names = [row.name for row in offered()]
         raise ConfigError(f"no node offers the {sort} {name}; {suggestion(name, names)}")

@@ -41,7 +41,7 @@ NAN = float("nan")
         ({"stage": Stage.PRE_GRASP}, "has no pre-grasp"),
         ({"action": "drill", "elements": (), "stage": Stage.PRE_GRASP}, "has no pre-grasp"),
         ({"action": "drill", "elements": (), "intensity": 0.5}, "always runs at intensity 1"),
-        ({"action": ""}, "an intensity needs the name of an action"),
+        ({"action": ""}, "the goal names no action: only"),
     ],
 )
 async def test_bad_goals_are_refused_with_a_reason(

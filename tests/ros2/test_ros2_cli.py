@@ -185,6 +185,11 @@ def test_a_goal_that_takes_too_long_is_cancelled(talker: Callable[..., str]) -> 
         ),
         (["call", "/left/talker/set", "{data: [}"], ConfigError, "request"),
         (["call", "/x", "std_srvs/srv/Empty", "--timeout", "0.2"], RemoteError, "no node offers"),
+        (
+            ["call", "/left/talker/set", "std_srvs/srv/Trigger"],
+            ConfigError,
+            "has the type std_srvs/srv/SetBool, not std_srvs/srv/Trigger",
+        ),
         (["send-goal", "/left/talker/grip"], ConfigError, "'/left/talker/gripper_cmd'"),
         (
             ["send-goal", "/left/talker/gripper_cmd", "{command: {position: -1}}"],
@@ -200,6 +205,13 @@ def test_mistakes_are_told(
 ) -> None:
     with pytest.raises(raised, match=said):
         talker(*words)
+
+
+def test_a_call_says_that_it_waits(settings: Ros2Settings) -> None:
+    words = ["call", "/x", "std_srvs/srv/Empty", "--timeout", "0.2", "--router", settings.router]
+    result = CliRunner().invoke(app_of(app), words)
+    assert isinstance(result.exception, RemoteError)
+    assert result.output == "rtee: waiting: no node offers the service /x\n"
 
 
 @pytest.mark.parametrize(
