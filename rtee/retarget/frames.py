@@ -23,6 +23,7 @@ import numpy as np
 
 from rtee import monotonic
 from rtee.errors import LogError, UserError
+from rtee.hand.files import reason
 from rtee.retarget.layouts import Layout, Side, layout_named
 from rtee.retarget.retargeter import Retargeter
 from rtee.sample import FloatArray
@@ -92,6 +93,8 @@ class FrameReader:
             raise self._error("it is nested too deeply") from None
         except UserError as error:
             raise self._error(error.message) from None
+        except json.JSONDecodeError as error:
+            raise self._error(f"it is not JSON from character {error.pos + 1} on") from None
         except ValueError as error:
             raise self._error(str(error)) from None
 
@@ -170,8 +173,7 @@ def read_frames(path: Path, layout: Layout, side: Side) -> list[TrackerFrame]:
             with path.open(encoding="utf-8") as file:
                 frames = [frame for line in file if (frame := reader.read(line)) is not None]
     except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise LogError(f"cannot be read: {why}", path=path) from None
+        raise LogError(f"cannot be read: {reason(error)}", path=path) from None
     if not any(frame.points is not None for frame in frames):
         raise LogError("contains no points of a hand", path=path)
     return frames

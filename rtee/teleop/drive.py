@@ -15,6 +15,7 @@ import anyio
 from rtee import monotonic
 from rtee.commands import StreamSample
 from rtee.errors import ConfigError, LogError
+from rtee.hand.files import reason
 from rtee.log import read
 from rtee.loop.streams.targets import FAR
 from rtee.messages import topics
@@ -144,8 +145,7 @@ def _of_table(path: Path) -> list[Played]:
             file.seek(0)
             rows = list(csv.reader(file, delimiter=delimiter))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        why = getattr(error, "strerror", None) or error
-        raise LogError(f"cannot be read: {why}", path=path) from None
+        raise LogError(f"cannot be read: {reason(error)}", path=path) from None
     names = [name.strip() for name in rows[0]] if rows else []
     if names[:1] != ["t"] or len(names) < 2:
         raise LogError("should begin with a line of names, the first of them 't'", path=path)

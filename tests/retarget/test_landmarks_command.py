@@ -64,7 +64,7 @@ def test_a_hand_follows_a_persons(served: Served, tmp_path: Path, live: bool) ->
         ('{"t": 1, "hand_world_landmarks": [[{"x": 1}]]}', "MediaPipe"),
         ('{"layout": {"order": [1]}}', "a layout must be"),
         ('{"layout": "octopus"}', "unknown layout"),
-        ("not json", "is not valid"),
+        ("not json", "is not valid: it is not JSON from character 1 on"),
     ],
 )
 def test_a_line_without_sense_moves_nothing(tmp_path: Path, line: str, said: str) -> None:
