@@ -25,7 +25,7 @@ from contextlib import AbstractAsyncContextManager
 from functools import partial, wraps
 from inspect import signature
 from types import TracebackType
-from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar
+from typing import Any, Concatenate, Generic, NoReturn, ParamSpec, Self, TypeVar
 
 import anyio
 from anyio.from_thread import BlockingPortal
@@ -34,7 +34,7 @@ from rtee import monotonic
 from rtee.commands import StreamStatus
 from rtee.errors import NoHand
 from rtee.messages.requests import Role
-from rtee.remote.client import RemoteHand, connect
+from rtee.remote.client import ONE_PROCESS, RemoteHand, connect
 from rtee.remote.goal import RunningGoal
 from rtee.remote.stream import Stream, paced
 from rtee.types import Feedback, Result
@@ -46,6 +46,7 @@ _END_WITHIN = 5.0
 """Time to wait for the end of a call that is given up, and of the event loop [s]: it takes
 milliseconds, but must not hang a script."""
 
+_LEFT = "this client has left its hand; connect again"
 
 _PORTALS: weakref.WeakSet[BlockingPortal] = weakref.WeakSet()
 """The event loops of this process."""
@@ -246,6 +247,10 @@ class BlockingHand:
         """Leave the hand; may be called more than once."""
         self.__exit__(None, None, None)
 
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled."""
+        raise TypeError(ONE_PROCESS)
+
     @property
     def role(self) -> Role:
         """This client's role; see `RemoteHand.role`."""
@@ -373,7 +378,10 @@ def _wait(
         except RuntimeError as error:
             raise _left(error) from None
         meanwhile()
-        return future.result()
+        try:
+            return future.result()
+        except CancelledError:  # by the end of the portal
+            raise NoHand(_LEFT) from None
     except BaseException:
         # Otherwise, the call would go on in the other thread.
         call.give_up(portal)
@@ -398,15 +406,24 @@ def _entered(portal: BlockingPortal, opened: AbstractAsyncContextManager[T]) -> 
         try:
             yield value
         finally:
-            if portal in _FORKED:
+            # Where the hand was left before, the context has ended with it.
+            if portal in _FORKED or _stopped(portal):
                 stack.pop_all()
+
+
+def _stopped(portal: BlockingPortal) -> bool:
+    try:
+        portal.call(lambda: None)
+    except RuntimeError as error:
+        return "not running" in str(error)
+    return False
 
 
 def _left(error: RuntimeError) -> RuntimeError | NoHand:
     """Return the error for a call of a client that has left, or the error itself."""
     if "not running" not in str(error):  # as when called from the event loop
         return error
-    return NoHand("this client has left its hand; connect again")
+    return NoHand(_LEFT)
 
 
 def _iterate(portal: BlockingPortal, source: AsyncIterator[T]) -> Iterator[T]:
@@ -482,7 +499,8 @@ def _portal() -> Iterator[BlockingPortal]:
         yield portal
     finally:
         if portal not in _FORKED:
-            portal.call(portal.stop)
+            # With what is still open, such as a stream, for which it would wait.
+            portal.call(portal.stop, True)
         # At its end, the loop closes open iterators by calls into Zenoh. A thread that
         # returns from one while the interpreter ends aborts the process.
         thread.join(_END_WITHIN)

@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from functools import partial, wraps
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, NoReturn, ParamSpec, TypeVar
 
 import anyio
 import anyio.to_thread
@@ -126,6 +126,10 @@ def _part(
     return call
 
 
+ONE_PROCESS = "a connected hand cannot be copied or pickled; connect in each process"
+"""What is said to programs that hand a connection to another process."""
+
+
 class RemoteHand:
     """A running hand; made by `connect`.
 
@@ -150,6 +154,10 @@ class RemoteHand:
         self._lease = LeaseClient(link)
         self._streams = StreamClient(link, self._monitoring, self._goals)
         self._reaching = ReachClient(link, self._actions, self._goals)
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled."""
+        raise TypeError(ONE_PROCESS)
 
     @property
     def role(self) -> Role:

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import contextlib
+import copy
+import pickle
 import signal
 import subprocess
 import sys
@@ -103,6 +105,22 @@ def test_who_has_left_the_hand_is_told_to_connect_again(served: Served) -> None:
         pass
     with pytest.raises(NoHand, match="connect again"), remote.stream():
         pass
+
+
+def test_a_stream_and_a_lease_end_with_the_hand_that_is_left(served: Served) -> None:
+    remote = rtee.connect_blocking("small")
+    with remote.lease(), remote.stream() as stream:
+        remote.disconnect()
+        with pytest.raises(NoHand, match="connect again"):
+            stream.send({"Trig index": 0.1})
+
+
+def test_a_connection_stays_in_its_process(served: Served) -> None:
+    with rtee.connect_blocking("small") as remote:
+        for work in (pickle.dumps, copy.deepcopy):
+            with pytest.raises(TypeError, match="connect in each process"):
+                work(remote)
+        assert remote.state().tick > 0
 
 
 def test_a_forked_process_is_told_to_be_spawned(served: Served) -> None:
@@ -269,6 +287,16 @@ def test_a_script_that_forgets_to_close_ends_all_the_same(served: Served) -> Non
     code = "import rtee; hand = rtee.connect_blocking('small'); print(hand.state().tick > 0)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stdout.strip()) == (0, "True"), done.stderr
+
+
+def test_a_stream_that_a_script_forgets_to_close_says_nothing(served: Served) -> None:
+    code = (
+        "import rtee\n"
+        "stream = rtee.connect_blocking('small').stream()\n"
+        "print(stream.__enter__() is not None)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "True", "")
 
 
 def test_what_is_still_iterated_over_at_the_end_of_a_script_says_nothing(served: Served) -> None:
