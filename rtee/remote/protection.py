@@ -56,6 +56,7 @@ class Protection:
 
     Attributes:
         settings: Zenoh's settings for the hand.
+        link: Those of them with which it connects to a router.
         certificates: Files with ``authority``, ``certificate`` and ``key`` for its door or its link
             to a router, if it uses TLS.
 
@@ -93,8 +94,8 @@ class Protection:
             self._known = {**self._credentials.spare, **admitted}
         access = access_control(hand, self._known, plain=self._plain, routed=routed)
         self.settings: dict[str, Any] = {"access_control": access}
-        if routed:
-            self.settings |= router_link(self.certificates)
+        self.link = router_link(self.certificates) if routed else {}
+        self.settings |= self.link
 
     def rules(self, zid: str) -> dict[str, Any]:
         """Return Zenoh's rules for the gateways of the hand's door, by common name.

@@ -11,18 +11,18 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-from collections.abc import AsyncIterator, Callable, Collection
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import anyio
 import anyio.to_thread
 import zenoh
 
 from rtee import monotonic
-from rtee.errors import RequestRejected, TooManyRequests
+from rtee.errors import ConfigError, NoHand, RequestRejected, TooManyRequests
 from rtee.hand.config_schema import RemoteSettings
 from rtee.loop.handloop import HandLoop
 from rtee.loop.report import Tally
@@ -65,7 +65,16 @@ from rtee.remote.protection import Protection
 from rtee.remote.publishing import HandPublisher, Streams, TopicPublishers
 from rtee.remote.query_handlers import QueryHandlers, RecorderControl
 from rtee.remote.rates import EXCESS, Rates
-from rtee.remote.session import DELIVER, TLS, close_session, direct, fits, open_server
+from rtee.remote.session import (
+    DELIVER,
+    LEASE,
+    TLS,
+    close_session,
+    direct,
+    fits,
+    open_client,
+    open_server,
+)
 from rtee.remote.stopping import CERTIFICATE, SUFFIX, Stopped, StopSocket
 
 _CLOSED_FOR = 1.0
@@ -82,6 +91,16 @@ _LOOK_EVERY = 0.5
 
 _MOST_CLOSED = 1000
 """Inboxes that may be closed at a time: more than there are clients."""
+
+_ROUTER_WITHIN = 1.0
+"""Time for a router to answer before the hand starts without it [s]: over a VPN up to 1 s."""
+
+_GONE_WITHIN = 3 * LEASE / 1000
+"""Time until a hand of the same name must be gone [s]: a killed one counts as dead after the lease,
+and this one may be what replaces it."""
+
+_POLL = 0.05
+"""Interval of the looks for a hand of the same name [s]."""
 
 
 class _Inbox:
@@ -208,6 +227,32 @@ _LARGEST_REFUSED = 4096
 """Longest question of a refused query that waits [bytes]: frequent ones have a few hundred."""
 
 
+def _check_name(hand: str, endpoints: Sequence[str], certificates: Mapping[str, Any]) -> None:
+    """Raise `ConfigError` if another hand of this name is at a router; blocks for a moment.
+
+    Both would receive what clients send to either, and clients would get the answers of both. A
+    router that does not answer may come up later.
+    """
+    alive = network_key(hand, ALIVE)
+    for endpoint in endpoints:
+        try:
+            # A session of its own, since a router passes nothing on from one hand to another.
+            session = open_client([endpoint], _ROUTER_WITHIN, certificates)
+        except NoHand:
+            continue
+        until = monotonic.now() + _GONE_WITHIN
+        try:
+            while any(each.ok for each in session.liveliness().get(alive, timeout=_ROUTER_WITHIN)):
+                if monotonic.now() > until:
+                    raise ConfigError(
+                        f"a hand '{hand}' is already running at {endpoint}; give this one another "
+                        "name: that of its folder, and name: in its hand.yaml"
+                    )
+                monotonic.sleep(_POLL)
+        finally:
+            close_session(session)
+
+
 class Server:
     """Receives the requests of clients; made by `open`.
 
@@ -272,6 +317,7 @@ class Server:
         async with contextlib.AsyncExitStack() as stack:
             place = place or stack.enter_context(claimed(hand.name))
             protection = await in_thread(Protection, hand.name, settings)
+            await in_thread(_check_name, hand.name, settings.connect, protection.link)
             socket = place.socket
             if not fits(socket):  # too long a path: use a new folder that only this user may read
                 folder = await in_thread(partial(TemporaryDirectory, prefix="rtee-"))

@@ -329,8 +329,14 @@ def close_session(session: zenoh.Session) -> None:
         log.warning("a session did not close: %s", str(error).partition(" at ")[0])
 
 
-def open_client(endpoints: Sequence[str], within: float | None = None) -> zenoh.Session:
+def open_client(
+    endpoints: Sequence[str],
+    within: float | None = None,
+    certificates: Mapping[str, Any] | None = None,
+) -> zenoh.Session:
     """Open a session that connects to a hand and does not listen; blocks for milliseconds.
+
+    ``certificates`` are Zenoh's settings of those to show instead of this user's.
 
     Raises `NoHand` without an answer within the time [s], by default 10 s, and `ConfigError`
     if an endpoint is malformed.
@@ -344,7 +350,9 @@ def open_client(endpoints: Sequence[str], within: float | None = None) -> zenoh.
         "connect/exit_on_failure": True,
         "connect/timeout_ms": 0,
     }
-    if any(endpoint.startswith(TLS) for endpoint in endpoints):
+    if certificates is not None:
+        settings |= certificates
+    elif any(endpoint.startswith(TLS) for endpoint in endpoints):
         settings |= identity().settings()
     until = monotonic.now() + (within or _CONNECT_WITHIN)
     try:

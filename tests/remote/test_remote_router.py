@@ -91,6 +91,24 @@ async def test_a_router_as_it_comes_passes_on_all(tmp_path: Path) -> None:
             assert "reached" in lines[3]
 
 
+async def test_a_second_hand_of_a_name_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endpoint = free_endpoint()
+    async with routing(endpoint, None), behind(endpoint, tmp_path, False, "left"):
+        # As on another computer, where no lock tells of the first.
+        (tmp_path / "elsewhere").mkdir(mode=0o700)
+        monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path / "elsewhere"))
+        with pytest.raises(ConfigError, match=f"'left' is already running at {endpoint}; give"):
+            async with behind(endpoint, tmp_path, False, "left"):
+                pass
+        async with behind(endpoint, tmp_path, False, "right"):
+            pass
+    # Nobody of this name is left.
+    async with routing(endpoint, None), behind(endpoint, tmp_path, False, "left"):
+        pass
+
+
 async def test_two_hands_and_three_clients_with_certificates(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,6 +136,12 @@ async def test_two_hands_and_three_clients_with_certificates(
         following([endpoint], here=False) as fleet,
     ):
         assert told == ["left, right"]
+        (tmp_path / "elsewhere").mkdir(mode=0o700)
+        with monkeypatch.context() as elsewhere:
+            elsewhere.setenv("RTEE_RUNTIME_DIR", str(tmp_path / "elsewhere"))
+            with pytest.raises(ConfigError, match="'left' is already running at tls/"):
+                async with behind(endpoint, tmp_path, True, "left"):
+                    pass
         await fleet.known()
         async with (
             client("ann", "left") as ann,
