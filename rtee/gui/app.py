@@ -272,7 +272,10 @@ class App:
             "run": self._run,
             "title": f"{truth.hand or 'rtee'}: {held.text}",
             "held": Words(f"hand now: {held.text}", held.tone) if past else held,
-            "link": truth.link(),
+            # A click on a panel of the hand before would reach nothing.
+            "link": truth.link()
+            if truth.stale or page is None or page.session is None or page.session.current
+            else Words(f"{truth.hand}: connecting …", Tone.WARN),
             "mode": Words(f"RECORDING {past}: not the hand", Tone.WARN)
             if past
             else truth.control(own, list(names.values())),

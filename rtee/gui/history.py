@@ -29,6 +29,10 @@ POINTS: Final = 200
 """Maximum number of points per line: about one for every second pixel of a plot's width."""
 
 
+_DISORDER: Final = 1.0
+"""Largest step back in the states' stamps that is disorder on the network [s]; after a larger one,
+the clock is another, since the hand's computer was started again."""
+
 _SPANS: Final = 100
 """Maximum number of stored actions: more within a minute would be indistinguishable."""
 
@@ -79,6 +83,9 @@ class StateHistory:
 
     def add(self, state: State, joint_velocity: FloatArray) -> None:
         """Add a state and the joint velocities ``(m,)`` computed from it [rad/s | m/s]."""
+        if state.stamp < self._now - _DISORDER:
+            self._count, self._running = 0, None
+            self._spans.clear()
         row = self._count % self._capacity
         self._time[row] = self._now = state.stamp
         values = {name: getattr(state, name) for name in QUANTITIES}

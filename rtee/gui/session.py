@@ -70,6 +70,9 @@ _VIEWS = {
 _FELT: Final = 0.05
 """Smallest force written at a fingertip [N]: below the lightest touch."""
 
+_LONGEST: Final = 24
+"""Longest name of a finger at its tip [characters]: longer ones would cover its neighbours'."""
+
 _STRAINED: Final = 0.1
 """Smallest effort shown at a fingertip, as a share of its limit: above that of friction alone."""
 
@@ -137,6 +140,11 @@ class HandSession:
     def client(self) -> str:
         """This window's name on the network."""
         return self._remote.client
+
+    @property
+    def current(self) -> bool:
+        """Whether the panels are those of the hand that is watched now, not of one before it."""
+        return self._watch.hand is self._hand
 
     @property
     def recorded(self) -> str:
@@ -230,7 +238,7 @@ class HandSession:
         self._angles.degrees = self._views["Degrees"].value
         self._recordings.advance()
         state = watch.truth.state if playback is None else playback.state()
-        if state is None or (playback is None and watch.truth.stale):
+        if state is None or (playback is None and (watch.truth.stale or not self.current)):
             state = None  # the last picture stays, marked as old
         if state is not None:
             self._draw_hand(state)
@@ -287,7 +295,8 @@ class HandSession:
         said = {}
         for finger in fingers:
             force, share = forces[finger], efforts.get(finger, 0.0)
-            words = [finger] * names + [f"{force:.1f} N"] * (names and force >= _FELT)
+            name = finger if len(finger) <= _LONGEST else f"{finger[: _LONGEST - 1]}…"
+            words = [name] * names + [f"{force:.1f} N"] * (names and force >= _FELT)
             said[finger] = " ".join(words + [effort_bar(share)] * (share >= _STRAINED))
         return said
 

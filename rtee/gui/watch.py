@@ -98,11 +98,12 @@ class Watch:
         if (
             self.history is None
             or self.hand is None
-            or self.hand.actuator_names != hand.actuator_names
+            or (self.hand.actuator_names, self.hand.joint_names)
+            != (hand.actuator_names, hand.joint_names)
         ):
             self.history = StateHistory(len(hand.actuators), len(hand.joints))
-        self.hand, self.described = hand, None
-        self.truth.hand = remote.name
+        self.hand, self.described, self.touched = hand, None, TouchHistory()
+        self.truth.hand, self.truth.state = remote.name, None
         self.truth.on_status(await remote.status())
         async with anyio.create_task_group() as tasks:
             for work in (self._states, self._results, self._events, self._touch, self._object):

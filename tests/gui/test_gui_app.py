@@ -22,7 +22,7 @@ import anyio.to_thread
 import numpy as np
 import pytest
 import viser
-from remote.serving import Config, Remote, free_endpoint, make_hand, make_library, serving
+from remote.serving import URDF, Config, Remote, free_endpoint, make_hand, make_library, serving
 from remote.test_truth import ACTIVE, STATE, status
 
 import rtee
@@ -44,7 +44,7 @@ from rtee.gui.panels.table import TablePanel
 from rtee.gui.session import HandSession
 from rtee.gui.visitors import Buffer, Visitors
 from rtee.gui.wording import NOTHING, Angles, number, units
-from rtee.hand.load import load_hand
+from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
 from rtee.messages.state import State
@@ -139,6 +139,34 @@ async def test_ten_hands_one_after_the_other(server: viser.ViserServer, tmp_path
     for counts in (controls, nodes, commands):
         assert counts[0] > 3
         assert set(counts) == {counts[0]}, f"something of the hands before is left: {counts}"
+
+
+async def test_a_hand_may_return_with_another_joint(
+    server: viser.ViserServer, tmp_path: Path
+) -> None:
+    """Neither its history nor its panels are those of the hand before."""
+    lid = """<link name="cover"/><joint name="lid" type="revolute"><parent link="palm"/>
+      <child link="cover"/><axis xyz="0 1 0"/><mimic joint="near"/>
+      <limit lower="0" upper="1.5" velocity="3" effort="2"/></joint></robot>"""
+    file, before = make_hand(tmp_path).urdf.path, None
+    async with anyio.create_task_group() as group:
+        app = App(server, None, None)
+        group.start_soon(app.run)
+        for text in (URDF, URDF.replace("</robot>", lid)):
+            file.write_text(text)
+            hand = load_model(file, file.with_suffix(".srdf"), name="small")
+            async with serving(hand, make_library(hand)):
+                await shows(app, "small: connected")
+                assert session_of(app) is not before
+                await has(app, ActionKind.TIMED, "wave")
+                history = app.pages[0].watch.history
+                assert history is not None
+                while not history.measured("joint_position").all():  # noqa: ASYNC110
+                    await anyio.sleep(0.02)
+                before = session_of(app)
+                assert len(history.measured("joint_position")) == len(hand.joints)
+            await shows(app, "not connected")
+        group.cancel_scope.cancel()
 
 
 @pytest.mark.parametrize("role", list(Role))

@@ -158,6 +158,17 @@ def test_history_keeps_the_newest_and_thins() -> None:
     assert np.array_equal(speed, 2.0 * joint)
 
 
+def test_history_begins_anew_with_the_clock_of_the_hands_computer() -> None:
+    history = StateHistory(2, 3)
+    for stamp in (9000.0, 9000.01, 20.0, 20.01):
+        history.on_result(Result(f"{stamp}", "Grasp", reached=True, duration=0.005))
+        history.add(_state(stamp, stamp), np.zeros(3))
+    time, value = history.window("position", [0], 10.0)
+    assert time == pytest.approx([-0.01, 0.0])
+    assert value == pytest.approx([20.0, 20.01])
+    assert [span.goal_id for span in history.spans(10.0)] == ["20.01"]
+
+
 def test_actions_are_spans_of_the_time_in_the_plots() -> None:
     history = StateHistory(1, 1)
     history.add(_state(10.0, 0.0, 1, 1), np.zeros(1))
