@@ -28,7 +28,7 @@ from rtee.gui.panels.trying import Jobs, TryPanel
 from rtee.gui.playback import Playback
 from rtee.gui.scene import Contact, HandScene
 from rtee.gui.trial_results import key_of, tried_in
-from rtee.gui.watch import Watch
+from rtee.gui.watch import AGAIN, Watch
 from rtee.gui.wording import Angles, effort_bar, put, small
 from rtee.hand.model import Hand
 from rtee.messages.state import State
@@ -200,13 +200,19 @@ class HandSession:
         self._trying.show_actions(self._known)
 
     async def run(self) -> None:
-        """Update all panels; ends with `NoHand` when the hand has ended."""
+        """Update all panels until they are no longer `current`; raises `NoHand` if the hand ends.
+
+        The watch may connect again without a loss of this window's own connection.
+        """
         # Subscribed first, so that no change of the actions is missed.
         events = self._remote.events()
         await self._request_trials()  # first, since they order the cards
         await self._refresh()
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._follow_events, events)
+            while self.current:  # noqa: ASYNC110 - the watch sets it in this thread
+                await anyio.sleep(AGAIN)
+            tasks.cancel_scope.cancel()
 
     async def _request_trials(self) -> None:
         # Neither a refusal nor a damaged file must end the session.

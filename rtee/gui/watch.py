@@ -90,7 +90,8 @@ class Watch:
                 self.truth.on_gone(str(error))
             except BaseExceptionGroup as errors:  # from the tasks below
                 self.truth.on_gone(first_message(errors))
-            self._connected = anyio.Event()
+            if self._connected.is_set():  # otherwise, windows wait for this one
+                self._connected = anyio.Event()
             await anyio.sleep(AGAIN)
 
     async def _follow(self, remote: RemoteHand) -> None:

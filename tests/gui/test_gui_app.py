@@ -43,6 +43,7 @@ from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.table import TablePanel
 from rtee.gui.session import HandSession
 from rtee.gui.visitors import Buffer, Visitors
+from rtee.gui.watch import Watch
 from rtee.gui.wording import NOTHING, Angles, number, units
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
@@ -139,6 +140,23 @@ async def test_ten_hands_one_after_the_other(server: viser.ViserServer, tmp_path
     for counts in (controls, nodes, commands):
         assert counts[0] > 3
         assert set(counts) == {counts[0]}, f"something of the hands before is left: {counts}"
+
+
+async def test_a_window_that_waits_for_a_hand_gets_it_however_late_it_comes(tmp_path: Path) -> None:
+    watch, hand, found = Watch("small", None), make_hand(tmp_path), anyio.Event()
+
+    async def wait() -> None:
+        await watch.model()
+        found.set()
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(wait)
+        group.start_soon(watch.run)
+        while "is not running" not in watch.truth.trouble:  # noqa: ASYNC110 - an attempt has failed
+            await anyio.sleep(0.02)
+        async with serving(hand, make_library(hand)):
+            await found.wait()
+        group.cancel_scope.cancel()
 
 
 async def test_a_hand_may_return_with_another_joint(
