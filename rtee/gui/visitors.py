@@ -156,7 +156,14 @@ def _fits(value: object, control: Any) -> bool:
     if isinstance(present, tuple):
         same = isinstance(value, list) and len(value) == len(present)
         return same and all(map(_is_like, cast("list[object]", value), present))
-    return _is_like(value, present) and (options is None or value in options)
+    like = _is_like(value, present) and (options is None or value in options)
+    if not like or getattr(control, "step", None) is None:
+        return like
+    # A page sends what is typed before it moves it into the range, where it rounds to steps.
+    number, low, high = cast("float", value), control.min, control.max
+    return (low is None or number > low - control.step) and (
+        high is None or number < high + control.step
+    )
 
 
 def _is_like(value: object, present: object) -> bool:

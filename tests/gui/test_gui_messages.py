@@ -142,8 +142,13 @@ def test_a_value_is_admitted_by_the_type_of_its_control() -> None:
         cases: list[tuple[viser.GuiInputHandle[Any], list[Any], list[Any]]] = [
             (gui.add_checkbox("a", False), [True, False], [1, "x", None, [True]]),
             (gui.add_text("b", ""), ["", "x"], [1, None, True, "x" * 10**5]),
-            (gui.add_slider("c", 0.0, 1.0, 0.1, 0.5), [1, 0.5], [math.nan, math.inf, True, "1"]),
-            (gui.add_number("d", 3), [1, 2.0], [2.5, 1e300, math.nan, True, "1", None]),
+            (
+                gui.add_slider("c", 0.0, 1.02, 0.1, 0.5),
+                [0, 0.5, 1.02, 1.1],
+                [-0.1, 5, math.nan, math.inf, True, "1"],
+            ),
+            (gui.add_number("d", 3), [-1, 2.0], [2.5, 1e300, math.nan, True, "1", None]),
+            (gui.add_number("g", 3, min=2), [2, 1e9], [1, -1]),
             (gui.add_dropdown("e", ("x", "y")), ["x"], ["z", 1, None, ["x"]]),
             (gui.add_rgb("f", (1, 2, 3)), [[1, 2, 3]], [[1, 2], [1, 2, "x"], 1, [1, 2, math.nan]]),
         ]
