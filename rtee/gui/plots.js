@@ -38,7 +38,7 @@
       });
   };
   const prepare = (plot) => {
-    (plot.hooks.drawClear ??= []).push(drawTimes);
+    (plot.hooks.drawAxes ??= []).push(drawTimes); // over the grid, which would hide letters
     let from = 0;
     plot.over.addEventListener("mousedown", (event) => (from = event.clientX));
     plot.over.addEventListener("click", (event) => {

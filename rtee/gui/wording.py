@@ -71,7 +71,8 @@ def legend(names: Iterable[tuple[int, str]], hint: str = "") -> str:
     ``hint`` is HTML to append.
     """
     items = "".join(
-        f'<span style="white-space:nowrap;margin-right:0.8em">{swatch(i)} {escape(name)}</span>'
+        f'<span style="display:inline-block;margin-right:0.8em;{WRAPS}">{swatch(i)} '
+        f"{escape(name)}</span>"
         for i, name in names
     )
     return (

@@ -160,6 +160,39 @@ def test_stop_is_there_and_both_keys_work_in_every_state(
         window.until(lambda: other.status().action == "")
 
 
+_COVERED = """
+() => {
+  const view = document.querySelector("canvas").getBoundingClientRect();
+  const covers = document.querySelectorAll("#root .mantine-Paper-root, #rtee-bar");
+  return Math.max(...[...covers].map((each) => {
+    const box = each.getBoundingClientRect();
+    return Math.min(box.bottom, view.bottom) - Math.max(box.top, view.top);
+  }));
+}
+"""
+"""How much of the hand's view the panels and the bar cover [CSS px]; at most 0: nothing."""
+
+_CUT = """
+() => [...document.querySelectorAll("#rtee-said > *")].filter((each) => {
+  const box = each.getBoundingClientRect(), bar = each.closest("#rtee-bar").getBoundingClientRect();
+  return each.scrollWidth > each.clientWidth || box.bottom > bar.bottom || box.top < bar.top;
+}).map((each) => each.textContent)
+"""
+
+
+def test_a_phone_shows_the_hand_beside_its_panels_and_each_text_of_the_bar(window: Window) -> None:
+    page = window.page
+    size = page.viewport_size
+    assert size is not None
+    page.set_viewport_size({"width": 390, "height": 844})
+    try:
+        window.until(lambda: page.evaluate(_COVERED) <= 0)
+        assert page.evaluate("document.querySelector('canvas').clientHeight") > 200
+        assert page.evaluate(_CUT) == []
+    finally:
+        page.set_viewport_size(size)
+
+
 def test_a_frozen_hand_is_old_at_once_and_comes_back(window: Window, place: Path) -> None:
     # Of the hand itself: a signal that no process can receive is not passed on to it.
     (entry,) = (place / "run").rglob(f"{GRIPPER}.json")
