@@ -200,7 +200,7 @@ def install_line(extra: str) -> str:
 
 @contextmanager
 def needing_extra(what: str, extra: str) -> Iterator[None]:
-    """Raise `MissingExtra` if an import inside the context fails.
+    """Turn a failed import inside the context into a sentence for the user.
 
     Args:
         what: The feature that needs the import, as for `MissingExtra`.
@@ -208,6 +208,8 @@ def needing_extra(what: str, extra: str) -> Iterator[None]:
 
     Raises:
         MissingExtra: if a package imported inside the context is not installed.
+        ConfigError: if it is installed but cannot be loaded, such as for want of a library of the
+            system.
     """
     try:
         with _interruptible():
@@ -215,7 +217,12 @@ def needing_extra(what: str, extra: str) -> Iterator[None]:
     except ImportError as error:
         if (error.name or "").partition(".")[0] == "rtee":  # a bug of rtee, not a missing extra
             raise
-        raise MissingExtra(what, extra) from error
+        if isinstance(error, ModuleNotFoundError):
+            raise MissingExtra(what, extra) from error
+        reason = str(error).strip().partition("\n")[0]
+        raise ConfigError(
+            f"{what} needs the extra '{extra}', which is installed but cannot be loaded: {reason}"
+        ) from error
 
 
 @contextmanager

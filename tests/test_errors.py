@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rtee.errors import MissingExtra, needing_extra
+from rtee.errors import ConfigError, MissingExtra, needing_extra
 
 
 @pytest.mark.parametrize(
@@ -34,6 +34,18 @@ def test_an_extra_comes_from_where_rtee_came(
     found = SimpleNamespace(read_text=lambda _: text)
     monkeypatch.setattr(metadata, "distribution", lambda _: found)
     assert f"the GUI needs the extra 'gui': {said}" in str(MissingExtra("the GUI", "gui"))
+
+
+def test_what_cannot_be_loaded_is_not_called_missing() -> None:
+    """Pinocchio needs a library of the system; to install the extra again was no help."""
+    lacking = "libgomp.so.1: cannot open shared object file: No such file or directory"
+    with pytest.raises(ConfigError) as caught, needing_extra("the extraction", "extract"):
+        raise ImportError(f"{lacking}\nmore")
+    assert str(caught.value) == (
+        "the extraction needs the extra 'extract', which is installed but cannot be loaded: "
+        + lacking
+    )
+    assert not isinstance(caught.value, MissingExtra)
 
 
 def test_ctrl_c_ends_imports_that_take_it_for_a_missing_package() -> None:

@@ -128,6 +128,9 @@ _Usage: Final[Any] = typer.BadParameter.__mro__[2]
 
 _NO_COMMAND: Final = re.compile("No such command '(.+?)'")
 
+_FAILING: Final = ("strict", "surrogateescape")
+"""How streams that fail at a character treat errors, which Python chooses by the locale."""
+
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Error numbers of a full disk."""
 
@@ -144,8 +147,9 @@ def main() -> None:
     """Run the command line; a user's mistake is one sentence on stderr and exit status 2."""
     _open_standard_streams()
     # As Python does on stderr: escape characters that the terminal's encoding lacks and file names
-    # that are not text, instead of failing after the work is done.
-    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+    # that are not text, instead of failing after the work is done. In the locale C, Python escapes
+    # such names only.
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors in _FAILING:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         check_system()

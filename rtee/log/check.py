@@ -132,12 +132,12 @@ def recorded_hand(recording: Recording, actuators: Replayable) -> Hand:
         if not text:
             raise LogError("contains no URDF", path=recording.paths[0])
         # Write files, since a model is only loaded from files, here as for a run.
-        urdf.write_text(text)
+        urdf.write_text(text, "utf-8")
         srdf: Path | None = None
         attached = _attached(recording, ".srdf")
         if attached:
             srdf = folder / "hand.srdf"
-            srdf.write_text(attached)
+            srdf.write_text(attached, "utf-8")
         specs = actuators.actuators
         names = [spec.name for spec in specs]
         hand = load_model(urdf, srdf, name=recording.hand, actuators=names)

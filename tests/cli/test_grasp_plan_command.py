@@ -131,9 +131,10 @@ def test_what_is_wrong_is_one_sentence(run: Run, words: list[str], said: str) ->
 
 
 def test_it_names_the_extra_that_is_missing(folder: Path, tmp_path: Path) -> None:
-    # A package that fails to import stands for one that is not installed.
+    # A module that raises this error stands for a package that is not installed.
     (tmp_path / "hidden").mkdir()
-    (tmp_path / "hidden/coal.py").write_text("raise ImportError('no coal', name='coal')\n")
+    hidden = "raise ModuleNotFoundError('no coal', name='coal')\n"
+    (tmp_path / "hidden/coal.py").write_text(hidden)
     paths = [str(tmp_path / "hidden"), os.environ.get("PYTHONPATH", str(Path.cwd()))]
     ended = subprocess.run(
         [sys.executable, "-m", "rtee", "grasp-plan", str(folder), "--object", "sphere:0.02"],

@@ -232,7 +232,6 @@ def test_another_computer_is_told(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1800)
 @pytest.mark.skipif(
     not os.environ.get("RTEE_WHEELS"),
     reason="fetches wheels, minutes long: make wheels",

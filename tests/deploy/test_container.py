@@ -63,7 +63,6 @@ def test_the_service_of_compose_asks_for_what_the_unit_has(repository: Path) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 @pytest.mark.skipif(
     not os.environ.get("RTEE_WHEELS"), reason="fetches wheels, minutes long: make wheels"
 )

@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from packaging.requirements import Requirement
@@ -22,7 +23,6 @@ from .test_without_extras import HIDDEN, SHOW
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.timeout(900),
     pytest.mark.skipif(
         not os.environ.get("RTEE_WHEELS"),
         reason="builds and installs wheels, minutes long: make wheels",
@@ -97,39 +97,41 @@ class Installed:
         files = [file for one in folders for file in (one, *one.rglob("*"))]
         return sum(file.lstat().st_blocks for file in files) * 512  # st_blocks counts 512 bytes
 
-    def _start(self, words: Sequence[str]) -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [str(self.bin / "rtee"), *words],
-            cwd=self.folder,
-            env=self.environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
+    def _process(self, words: Sequence[str]) -> dict[str, Any]:
+        """Return what a process of the command ``rtee`` is started with."""
+        return {
+            "args": [str(self.bin / "rtee"), *words],
+            "cwd": self.folder,
+            "env": self.environment,
+            "stdin": subprocess.DEVNULL,
+            "stdout": subprocess.PIPE,
+            "stderr": subprocess.STDOUT,
+            "text": True,
+        }
 
     def problems(self, cases: Sequence[Case]) -> list[str]:
         found = []
         for case in cases:
-            with self._start(case.words) as process:
-                said = process.communicate()[0]
+            done = subprocess.run(**self._process(case.words))  # kills a command that hangs
             # An extra is installed from where rtee was: here from the wheel, not from the checkout.
             says = case.says.replace(FROM_CHECKOUT, f'pip install "{self.wheel}')
-            found.append(wrong(replace(case, says=says), process.returncode, said))
+            found.append(wrong(replace(case, says=says), done.returncode, done.stdout))
         return [problem for problem in found if problem]
 
     def beside(self, case: Case, cases: Sequence[Case]) -> list[str]:
         """Run commands while another, which does not end by itself, runs."""
-        with self._start(case.words) as process:
+        with subprocess.Popen(**self._process(case.words)) as process:
             assert process.stdout is not None
-            said = ""
-            for line in process.stdout:
-                said += line
-                if case.says in line:
-                    break
-            found = self.problems(cases)
-            process.send_signal(signal.SIGINT)
-            said += process.stdout.read()
+            said, found = "", []
+            try:
+                for line in process.stdout:
+                    said += line
+                    if case.says in line:
+                        break
+                found = self.problems(cases)
+            finally:
+                process.send_signal(signal.SIGINT)
+                said += process.stdout.read()
         return [*found, *([] if case.says in said else [f"rtee {case.line}:\n{said}"])]
 
 
