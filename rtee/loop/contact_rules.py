@@ -12,7 +12,7 @@ from typing import Final
 
 from rtee.loop.free_motion import FREELY
 
-VERSION: Final = 15
+VERSION: Final = 16
 """Version of these rules, written into recordings: `rtee log replay --check` says when a recording
 was made with other rules."""
 
@@ -55,6 +55,9 @@ _DROP: Final = 0.7
 """A force has dropped when it is below this share of its former value: sensors are accurate to
 some 10 %."""
 
+ALL: Final = 0.9
+"""Share of its limit above which an actuator exerts all that it may: motors keep to it no
+better."""
 
 _GAINS: Final = 1.25
 """An actuator catches up with its reference when it moves by this multiple of the reference's
@@ -161,6 +164,18 @@ def keeps_pace(*, moved: float, wanted: float, left: float, tolerance: float) ->
     if left <= tolerance:
         return False
     return moved * wanted > 0.0 and abs(moved) >= FREELY * abs(wanted)
+
+
+def is_bound(effort: float, limit: float) -> bool:
+    """Return whether an effort limit may bound an effort: without the limit, it might be larger.
+
+    What moves with such an effort moves as the limit lets it, and shows no free motion.
+
+    Args:
+        effort: The effort [N·m | N]; ``NaN``: not measured.
+        limit: The effort limit [N·m | N].
+    """
+    return abs(effort) >= ALL * limit
 
 
 def catches_up(moved: float, led: float) -> bool:

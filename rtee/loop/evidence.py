@@ -70,10 +70,6 @@ some hundred measurements of a motion are enough, and the tick's time is short."
 _RESOLUTION = 0.01
 """Least threshold of a contact as a share of the effort limit: devices measure no better."""
 
-_ALL = 0.9
-"""Share of its limit above which an actuator exerts all that it may: motors keep to it no
-better."""
-
 _USUAL_SHARE = 0.125
 """Weight of the newest interval in the usual one, which follows a change of rate within 8
 intervals; likewise of the newest lag."""
@@ -132,6 +128,7 @@ class _EffortApproach:
         came_from: Its measured position then [rad | m].
         surge: Size of the largest recent acceleration of its reference [rad/s² | m/s²].
         surged: When that acceleration occurred [s].
+        bound: Whether its effort limit keeps its free motion from being learned.
     """
 
     ahead: float
@@ -149,6 +146,7 @@ class _EffortApproach:
     came_from: float = math.nan
     surge: float = 0.0
     surged: float = -math.inf
+    bound: bool = False
 
 
 class ContactMonitor:
@@ -551,7 +549,7 @@ class ContactMonitor:
         if approach is None or math.isinf(self._actuators[i].effort):
             return 0.0
         dry = self._free[i].dry if self._free[i].known and approach.in_effort else 0.0
-        return min(dry + approach.threshold, _ALL * limit)
+        return min(dry + approach.threshold, rules.ALL * limit)
 
     def _listen(self, i: int, watched: _WatchedActuator, position: float, stamp: float) -> None:
         """Record the time since the last measurement; silence does not count as rest."""
@@ -677,6 +675,11 @@ class ContactMonitor:
         approach = self._approaching.get(i)
         return approach is not None and approach.in_effort and self._free[i].known
 
+    def bound(self, i: int) -> bool:
+        """Return whether the effort limit of an approaching actuator hides what motion takes."""
+        approach = self._approaching.get(i)
+        return approach is not None and approach.bound
+
     def _least(self, i: int, slope: float) -> float:
         """Return the effort of a contact [N·m | N]; ``slope``: effort per newton at the tips."""
         least = _RESOLUTION * self._actuators[i].effort
@@ -699,6 +702,7 @@ class ContactMonitor:
         measured: Measured,
         reference: float,
         velocity: float,
+        limit: float,
         *,
         every: bool,
         sides: Sequence[frozenset[str]] = (),
@@ -711,12 +715,13 @@ class ContactMonitor:
             measured: The measured state.
             reference: Its reference [rad | m].
             velocity: Velocity of its reference [rad/s | m/s].
+            limit: Its effort limit [N·m | N].
             every: Whether each of its fingers must touch, not just one.
             sides: The fingers of each side of the opening, of which one is enough then.
         """
         felt = self._felt_now(i, measured, every, sides)
         # Where forces are measured, efforts are not used, and nothing is learned from them.
-        pushes = felt is None and self._pushes(i, stamp, measured, reference, velocity)
+        pushes = felt is None and self._pushes(i, stamp, measured, reference, velocity, limit)
         blocked = self.blocked(i) and self._watched[i].pressed
         return rules.touches(felt, pushes=pushes, blocked=blocked)
 
@@ -746,6 +751,7 @@ class ContactMonitor:
         measured: Measured,
         reference: float,
         velocity: float,
+        limit: float,
     ) -> None:
         """Learn an actuator's free motion from a motion away from rest that reacts to no contact.
 
@@ -755,6 +761,7 @@ class ContactMonitor:
             measured: The measured state.
             reference: Its reference [rad | m].
             velocity: Velocity of its reference [rad/s | m/s].
+            limit: Its effort limit [N·m | N].
         """
         before, speed = self._lessons.get(i, (-math.inf, 0.0))
         passed = stamp - before
@@ -767,10 +774,34 @@ class ContactMonitor:
             return
         signal = measured.effort[i]
         if signal != signal:
-            signal = measured.current[i] if measured.current else math.nan
+            signal, limit = measured.current[i] if measured.current else math.nan, math.inf
         if signal == signal:
             sample = signal, velocity, (velocity - speed) / passed
-            self._stretches[i].take(self._free[i], here, reference, sample)
+            self._teach(i, here, reference, sample, limit)
+
+    def _teach(
+        self,
+        i: int,
+        here: float,
+        reference: float,
+        sample: tuple[float, float, float] | None,
+        limit: float,
+    ) -> None:
+        """Learn free motion from a measurement, unless the effort limit bounds it.
+
+        Args:
+            i: The actuator.
+            here: The measured position [rad | m].
+            reference: Its reference [rad | m].
+            sample: As for `Stretches.take`.
+            limit: Its effort limit [N·m | N].
+        """
+        stretch = self._stretches[i]
+        if sample is not None and rules.is_bound(sample[0], limit):
+            # So may be those before it: a limit that was raised takes effect some of them later.
+            stretch.restart()
+        else:
+            stretch.take(self._free[i], here, reference, sample)
 
     def follows(self, i: int, here: float, reference: float, velocity: float) -> None:
         """Learn by how much time an actuator lags behind its reference while it moves freely.
@@ -808,10 +839,17 @@ class ContactMonitor:
         return {actuator.name: free.state() for actuator, free in pairs if free.known}
 
     def _pushes(
-        self, i: int, stamp: float, measured: Measured, reference: float, velocity: float
+        self,
+        i: int,
+        stamp: float,
+        measured: Measured,
+        reference: float,
+        velocity: float,
+        limit: float,
     ) -> bool:
         """Return whether an actuator needs more effort than free motion does."""
         approach = self._approaching[i]
+        approach.bound = False
         signal, threshold = measured.effort[i], approach.threshold
         approach.in_effort = signal == signal
         if signal != signal:
@@ -843,16 +881,19 @@ class ContactMonitor:
         if not approach.in_effort:
             stretch.take(free, here, reference, (signal, velocity, gain))
             return self._surges(approach, abs(signal), moves=moves)
-        if stamp - approach.began < _SET_OUT or not free.knows(velocity, gain):
+        setting_out = stamp - approach.began < _SET_OUT
+        if setting_out or not free.knows(velocity, gain):
+            # An acceleration is over soon; only what lasts needs another limit.
+            approach.bound = rules.is_bound(signal, limit) and not setting_out
             # Overcoming static friction is a part of free motion that the model must learn.
-            stretch.take(free, here, reference, (signal, velocity, gain))
+            self._teach(i, here, reference, (signal, velocity, gain), limit)
             return False
         if approach.by_tip and threshold > 0.0:
             threshold = approach.threshold = self._tip_threshold(i, stamp, measured)
         excess = free.excess(signal, velocity, gain, threshold, approach.surge)
         # Efforts that may be contacts must not enter the model of free motion.
         sample = None if excess > SURELY_FREE else (signal, velocity, gain)
-        stretch.take(free, here, reference, sample)
+        self._teach(i, here, reference, sample, limit)
         if excess <= 1.0:
             approach.over = 0
             return False

@@ -235,7 +235,7 @@ class Executor:
             # Actuators that a reflex has stopped would look stalled.
             free = [i for i in targets if i not in reflexes.busy] if reflexes.active else targets
             self._contact.update(stamp, measured, reference, limits, free)
-            felt = reflexes.step(stamp, measured)
+            felt = reflexes.step(stamp, measured, limits)
             self._learn(targets, stamp, measured, reference, felt=felt)
             if not self._plausible.doubted(targets):
                 self._judge(run, stamp, measured)
@@ -276,7 +276,7 @@ class Executor:
             if not self._reflexes.touched:
                 self._contact.follows(i, measured.position[i], reference[i], velocity[i])
             if not felt:
-                self._contact.learn(i, stamp, measured, reference[i], velocity[i])
+                self._contact.learn(i, stamp, measured, reference[i], velocity[i], self._limits[i])
 
     def led(self, targets: Mapping[int, float], measured: Measured) -> None:
         """Record that a jog or a stream moves some actuators, by index [rad | m]."""

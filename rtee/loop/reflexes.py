@@ -394,8 +394,13 @@ class Reflexes:
 
     # --- a tick ------------------------------------------------------------------------------
 
-    def step(self, stamp: float, measured: Measured) -> bool:
+    def step(self, stamp: float, measured: Measured, limits: Sequence[float]) -> bool:
         """Detect contacts of the running goal, and react to them.
+
+        Args:
+            stamp: Now [s].
+            measured: The measured state.
+            limits: Effort limits sent last [N·m | N].
 
         Returns:
             Whether efforts were evaluated, which also teaches free motion.
@@ -427,7 +432,14 @@ class Reflexes:
             else:
                 every = every and not (forced or self._contact.blocked(i))
                 touches = self._contact.meets(
-                    i, stamp, measured, reference, velocity, every=every, sides=sides
+                    i,
+                    stamp,
+                    measured,
+                    reference,
+                    velocity,
+                    limits[i],
+                    every=every,
+                    sides=sides,
                 )
             if not (pressed or touches):
                 strengthened = watched.limit < math.inf
@@ -533,7 +545,10 @@ class Reflexes:
     def _strengthen(
         self, i: int, watched: _ApproachingActuator, stamp: float, measured: Measured
     ) -> None:
-        """Raise the effort of an approaching actuator that falls behind, up to the goal's limit."""
+        """Raise the effort of an approaching actuator up to the goal's limit.
+
+        It needs more if it falls behind, or if its limit hides what free motion takes.
+        """
         here, reference = measured.position[i], self._limiter.position[i]
         full = self._limit(i)
         # An actuator that runs ahead of its reference must brake with its full effort.
@@ -549,7 +564,8 @@ class Reflexes:
             moved, wanted = here - watched.was, reference - watched.reference
             behind = (reference - here) * watched.ahead > watched.tolerance
             time = self._grasp.squeeze_time
-            if behind and not moved * watched.ahead >= _LAGS * wanted * watched.ahead:
+            lags = behind and not moved * watched.ahead >= _LAGS * wanted * watched.ahead
+            if lags or self._contact.bound(i):
                 share = (stamp - watched.looked) / time if time > 0.0 else 1.0
                 watched.limit = min(watched.limit + share * full, full)
             elif self._contact.learned(i):

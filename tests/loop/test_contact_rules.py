@@ -54,6 +54,15 @@ def test_what_gains_on_its_reference_touches_nothing() -> None:
     assert not rules.catches_up(moved=-0.001, led=0.01), "it was pushed back"
 
 
+def test_an_effort_near_its_limit_may_be_bound_by_it() -> None:
+    assert rules.is_bound(0.95, 1.0)
+    assert rules.is_bound(-0.95, 1.0), "either direction"
+    assert rules.is_bound(0.028, 0.015), "devices round small limits up"
+    assert not rules.is_bound(0.85, 1.0)
+    assert not rules.is_bound(5.0, math.inf)
+    assert not rules.is_bound(NAN, 1.0)
+
+
 def test_forces_come_before_efforts_and_stalls() -> None:
     assert not rules.touches(False, pushes=True, blocked=True)
     assert rules.touches(True, pushes=False, blocked=False)

@@ -56,10 +56,11 @@ class World:
         tips: bool = False,
         every: int = 1,
         efforts: bool = True,
+        friction: float = FRICTION,
         **grasp: object,
     ) -> None:
         self.hand, self.walls, self.tips, self.every = hand, walls, tips, every
-        self.ticks, self.efforts = 0, efforts
+        self.ticks, self.efforts, self.friction = 0, efforts, friction
         self.settings = LoopSettings(rate=500.0, grasp=GraspSettings(**grasp))  # type: ignore[arg-type]
         self.controller = Controller(hand, self.settings)
         self.position = hand.rest.tolist()
@@ -86,7 +87,7 @@ class World:
             speed = controller.reference_velocity[i]
             push = STIFFNESS * (reference - self.position[i])
             limit = controller.reference_effort[i]
-            effort.append(min(push + math.copysign(FRICTION, speed) * (speed != 0.0), limit))
+            effort.append(min(push + math.copysign(self.friction, speed) * (speed != 0.0), limit))
             if self.position[i] >= wall:
                 touch[0 if i < THUMB else 1] = max(push, 0.2)
         n = len(effort)
@@ -282,6 +283,34 @@ def test_a_touch_stops_all_fingers_at_the_first_contact(small: Hand) -> None:
     world.run(0.5)
     assert world.position[INDEX] == pytest.approx(where, abs=1e-6)
     assert where < 0.9
+
+
+@pytest.mark.parametrize("ticks", [1, 5, 20])
+@pytest.mark.parametrize("friction", [0.06, 0.4, 1.2])
+def test_an_effort_at_its_limit_is_not_that_of_free_motion(
+    tmp_path: Path, friction: float, ticks: int
+) -> None:
+    """A first touch begins with less effort than friction takes: more of it is no contact."""
+    hand, lever = make_hand(tmp_path, length=0.04), 0.08
+    goal = Goal(Named("PinchTight", ("index", "thumb")), FirstContact())
+    for wall in (math.inf, 0.6):
+        world = World(hand, {INDEX: wall}, friction=friction, every=ticks)
+        plan = make_plan(goal, hand, make_library(hand), world.settings)
+        world.controller.accept(plan, world.time)
+        pushes, speed = [0.0], 0.0
+        while not world.results:
+            world.tick()
+            pushes.append(STIFFNESS * (world.asked[INDEX] - world.position[INDEX]))
+            speed = max(speed, world.controller.reference_velocity[INDEX])
+        result = world.results.pop()
+        if math.isinf(wall):
+            assert (result.reached, result.touched) == (True, ()), result.position
+            continue
+        assert result.touched == ("index",)
+        # The push grows by this much in an exchange; the device is one behind, and two show it.
+        growth = STIFFNESS * speed * ticks * world.settings.period
+        assert world.position[INDEX] == wall
+        assert max(pushes) <= world.settings.grasp.contact_force * lever + 3.0 * growth
 
 
 def test_a_touch_may_take_as_long_as_its_slow_way(small: Hand) -> None:
