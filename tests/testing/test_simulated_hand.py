@@ -39,6 +39,18 @@ def test_only_simulated_time_passes(rtee_simulated_hand: StartSimulatedHand) -> 
     assert hand.do("PinchTight", "finger_1", "finger_2", intensity=0.5, effort=0.5).reached
 
 
+@pytest.mark.parametrize(("thing", "touched"), [(None, False), ("0.4", True)])
+def test_a_fresh_hand_touches_what_is_there_alone(
+    rtee_simulated_hand: StartSimulatedHand, thing: str | None, touched: bool
+) -> None:
+    """Its motors move with less than they need, as long as their friction is unknown."""
+    hand = rtee_simulated_hand("heri_ii", object=thing)
+    result = hand.touch(tip_speed="40mm/s")
+    assert bool(result.touched) == touched
+    # Its tips meet the object, at 0.4 of the way, 8 mm apart.
+    assert result.opening == pytest.approx(0.008 if touched else 0.003, abs=0.002)
+
+
 def test_a_mistake_is_raised_by_its_type(rtee_simulated_hand: StartSimulatedHand) -> None:
     with pytest.raises(ConfigError, match="an object 500 mm wide does not fit the fingers"):
         rtee_simulated_hand("robotiq_2f_85", object="500mm")
