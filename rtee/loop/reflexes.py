@@ -564,10 +564,11 @@ class Reflexes:
             moved, wanted = here - watched.was, reference - watched.reference
             behind = (reference - here) * watched.ahead > watched.tolerance
             time = self._grasp.squeeze_time
-            lags = behind and not moved * watched.ahead >= _LAGS * wanted * watched.ahead
-            if lags or self._contact.bound(i):
+            if behind and not moved * watched.ahead >= _LAGS * wanted * watched.ahead:
                 share = (stamp - watched.looked) / time if time > 0.0 else 1.0
                 watched.limit = min(watched.limit + share * full, full)
+            elif self._contact.bound(i):
+                watched.limit = min(watched.limit + _LIGHT * self._contact.threshold(i), full)
             elif self._contact.learned(i):
                 light = self._contact.friction(i) + _LIGHT * self._contact.threshold(i)
                 watched.limit = min(max(watched.limit, light), full)
