@@ -1,7 +1,8 @@
 """Close simulated hands on nothing, and on objects, and count what they say.
 
 On nothing by each of their actions, with the fingers' forces measured ("sensors") and by effort
-alone; on two balls and a box by every second pinch, with sensors. In simulated time.
+alone; on two balls and a box by every second pinch, with sensors. Or touch nothing by effort alone
+with hands that have never moved, with emulated devices and in MuJoCo. In simulated time.
 Run: python benchmarks/empty_closings.py
 """
 
@@ -20,9 +21,11 @@ from rtee.actions.types import Primitive, PrimitiveKind, Timed
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
+from rtee.remote.goal_values import touch_goal
+from rtee.testing.simulated import simulated
 from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand
-from rtee.types import Goal, Named, Outcome
+from rtee.types import Goal, Named, Outcome, Result
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 PINCHES = (PrimitiveKind.PINCH_TIGHT, PrimitiveKind.PINCH_LOOSE, PrimitiveKind.MULTI_PINCH_TIGHT)
@@ -30,6 +33,7 @@ SAID = (Outcome.REACHED, Outcome.CLOSED, Outcome.STALLED, Outcome.HELD)
 
 
 THINGS = ((CaseObject.SPHERE, 0.02), (CaseObject.SPHERE, 0.04), (CaseObject.BOX, 0.03))
+SPEEDS = (0.01, 0.02, 0.04)  # of the opening in a touch [m/s]
 WEIGHT = 1.0  # force for which the objects are made [N]: 20 g
 
 
@@ -77,14 +81,38 @@ def objects(hands: Sequence[str]) -> None:
             table.row(hand, *counts[0], *counts[1])
 
 
+def what(result: Result, itself: bool = False) -> str:
+    """Return in a word what a closing on nothing touched."""
+    return "" if not result.touched else "itself" if itself else "**air**"
+
+
+def touches(hands: Sequence[str]) -> None:
+    """Touch nothing with hands that have never moved, and print the table."""
+    speeds = [f"{speed * 1e3:g} mm/s" for speed in SPEEDS]
+    table = Table("hand", *(f"{kind}, {v}" for kind in ("emulated", "MuJoCo") for v in speeds))
+    for hand in hands:
+        ready = bench(str(CONFIG / hand), RATE)
+        emulated, dynamic = [], []
+        for speed in SPEEDS:
+            with simulated(hand) as made:
+                emulated.append(what(made.touch(tip_speed=speed)))
+            names, period = ready.hand.actuator_names, ready.settings.period
+            simulation = make_simulation(ready.hand, SimOptions(), names, period)
+            headless = NumbHand(ready.hand, ready.library, ready.settings, simulation)
+            result = headless.do(touch_goal(tip_speed=speed))
+            dynamic.append(what(result, itself=simulation.data.ncon > 0))
+        table.row(hand, *emulated, *dynamic)
+
+
 def main() -> None:
     """Close the hands, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hand", nargs="+", help="these hands only")
     parser.add_argument("--objects", action="store_true", help="on objects instead of nothing")
+    parser.add_argument("--touch", action="store_true", help="only slowly, until a first contact")
     arguments = parser.parse_args()
     hands = arguments.hand or sorted(p.parent.name for p in CONFIG.glob("*/openings.yaml"))
-    (objects if arguments.objects else empty)(hands)
+    (touches if arguments.touch else objects if arguments.objects else empty)(hands)
 
 
 if __name__ == "__main__":
