@@ -143,6 +143,19 @@ def force_rests(share: float, now: float, then: float) -> bool:
     return not now > STRONG * then
 
 
+def may_oppose(felt: bool | None, *, left: float, tolerance: float) -> bool:
+    """Return whether an actuator may hold against what the other side touches, though it is unfelt.
+
+    At the end of its motion, no effort of its own will show a contact any more.
+
+    Args:
+        felt: The verdict of the forces on its fingers, if any.
+        left: The way left to its target [rad | m].
+        tolerance: Position error that counts as none [rad | m].
+    """
+    return felt is None and left <= tolerance
+
+
 def both_press(sides: Sequence[float]) -> bool:
     """Return whether each side presses, by the forces that follow from efforts [N].
 

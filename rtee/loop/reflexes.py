@@ -460,10 +460,37 @@ class Reflexes:
             self._stop(i, watched, stamp, measured)
             if approach.together is not None:
                 self._stop_finger(i, approach, stamp, measured)
+        if not approach.first and self._squeeze is None and self.touched:
+            self._oppose(approach, stamp, measured)
         if not approach.first and self._squeeze is None and self._enough(approach):
             share = approach.share(measured)
             self._begin_squeeze(approach, stamp, share, pressing=measured.effort)
         return not approach.around
+
+    def _oppose(self, approach: _LegReactions, stamp: float, measured: Measured) -> None:
+        """Let a side that has come to its end oppose one that touches something.
+
+        The force between them, which is known, tells whether there is something.
+        """
+        if approach.together is None:
+            return
+        fingers = {i: set(self._hand.actuators[i].fingers) for i in approach.watched}
+        touching = {f for i, each in approach.watched.items() if each.touched for f in fingers[i]}
+        for side in approach.sides if touching else ():
+            own = {i: each for i, each in approach.watched.items() if fingers[i] & side}
+            if touching.isdisjoint(side) and all(
+                self._at_end(i, each, measured) for i, each in own.items()
+            ):
+                for i, each in own.items():
+                    self._stop(i, each, stamp, measured)
+
+    def _at_end(self, i: int, watched: _ApproachingActuator, measured: Measured) -> bool:
+        """Return whether an approaching actuator has come to its end and may touch something."""
+        felt = rules.any_touch(self._contact.forces(i, measured), self._grasp.touch)
+        here = (measured.position[i], self._limiter.position[i])
+        return rules.may_oppose(
+            felt, left=max(abs(watched.target - p) for p in here), tolerance=watched.tolerance
+        )
 
     def _pressed(self, approach: _LegReactions, stamp: float, measured: Measured) -> bool:
         """Return whether efforts show that fingers press with the whole force on something.

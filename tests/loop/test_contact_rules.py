@@ -170,6 +170,13 @@ def test_fingers_of_one_side_press_on_one_another() -> None:
     assert rules.both_press([5.0])  # against what nothing moves
 
 
+def test_a_finger_at_its_end_may_oppose_what_it_does_not_feel() -> None:
+    assert rules.may_oppose(None, left=0.001, tolerance=0.002)
+    assert not rules.may_oppose(None, left=0.003, tolerance=0.002)  # it may still meet something
+    assert not rules.may_oppose(False, left=0.0, tolerance=0.002)  # a sensor knows better
+    assert not rules.may_oppose(None, left=NAN, tolerance=0.002)
+
+
 def test_what_stops_a_finger_before_the_empty_hand_meets_itself_is_an_object() -> None:
     assert rules.came_as_far(0.80, 0.80, 0.05)
     assert rules.came_as_far(0.76, 0.80, 0.05)

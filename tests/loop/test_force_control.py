@@ -463,6 +463,52 @@ def test_fingers_that_press_together_approach_with_no_more_than_the_force_takes(
     assert "at 3 mm/s instead of 10 mm/s: faster, the impact of fingers that lag 1 s" in text
 
 
+@pytest.mark.parametrize("opposed", [True, False])
+def test_a_side_at_its_end_opposes_the_one_that_touches_if_something_is_there(
+    opposed: bool,
+) -> None:
+    folder = FOLDER.with_name("heri_ii")
+    hand, config = load_configured(folder)
+    settings = loop_settings(config, rate=500.0)
+    controller = Controller(hand, settings)
+    size = len(hand.actuators)
+    goal = Goal(Named("PinchTight", ("finger_2", "thumb")), Around(0.02), effort=Force(6.0))
+    plan = make_plan(goal, hand, ActionLibrary.load(hand, folder / "actions"), settings)
+    assert plan.grip is not None
+    finger, thumb = plan.effort
+    stops = {finger: plan.grip.position_at(plan.grip.intensity_at(0.02))[finger]}
+    if opposed:  # the thumb meets a soft object where its motion ends
+        stops[thumb] = plan.legs[-1].targets[thumb]
+    time, position, effort = 0.0, hand.rest.tolist(), [0.0] * size
+    results: list[Result] = []
+    for _ in range(10_000):
+        controller.step(time, Measured(position, effort, [NAN] * size, [True] * size, [-1] * size))
+        results += [each for each in controller.outbox.items if isinstance(each, Result)]
+        controller.outbox.items.clear()
+        if results:
+            break
+        if not time:
+            controller.apply(SetActive(dict.fromkeys(hand.actuator_names, True)), time)
+            controller.accept(plan, time)
+        time += settings.period
+        reference, limits = controller.reference_position, controller.reference_effort
+        there = [min(to, stops.get(i, math.inf)) for i, to in enumerate(reference)]
+        # Friction, and a servo of 20 N·m/rad against what stops it; alone, the finger meets no more
+        # than its friction.
+        effort = [
+            min(0.03 * (t > p) + 20.0 * (r - t), limit if opposed or i != finger else 0.2)
+            for i, (t, p, r, limit) in enumerate(
+                zip(there, position, reference, limits, strict=True)
+            )
+        ]
+        position = there
+    [result] = results
+    assert result.grasped is opposed
+    assert result.unknown is not opposed
+    if opposed:
+        assert result.force == pytest.approx(6.0, rel=0.05)
+
+
 class Stepping(Gripper):
     """A 2F-85 that follows a slow reference in steps, as one that has a least speed does.
 
