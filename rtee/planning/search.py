@@ -25,6 +25,10 @@ from rtee.sample import FloatArray
 _SHARES: Final = (0.0, 0.1, 0.3, 1.0)
 """Shares of an approach at which a moved object must be free, closer together near its end."""
 
+_LATE: Final = 0.005
+"""How far the opening closes while half of a force is built up [m]: for half a second, at the
+10 mm/s with which fingers meet an object. Fingers that would touch it later find it moved."""
+
 
 @dataclass
 class Search:
@@ -64,6 +68,14 @@ class Search:
         opening = self.opening
         return opening is not None and opening.narrowest + opening.error < width < opening.widest
 
+    def normal(self, force: float) -> float:
+        """Return the sum of the normal forces of all fingers for a force between them [N].
+
+        Two sides press with it each; of fingers all around, it is the sum itself.
+        """
+        around = self.opening is not None and self.opening.around
+        return force if around else 2.0 * force
+
     def meet_first(self, closure: Closure) -> bool:
         """Return whether fingers may meet one another before they touch the object."""
         hand = self.closing.path.hand
@@ -72,6 +84,32 @@ class Search:
             closure.blocked[i] and closure.shares[i] > at
             for i, at in zip(indices, self.meets.values(), strict=True)
         )
+
+    def pressing(self, closure: Closure) -> Closure | None:
+        """Return a closed hand with the contacts of the fingers that press with a force.
+
+        They press once a finger of each side touches, whether these oppose each other or not.
+        ``None``: no finger of some side touches.
+        """
+        if self.opening is None:
+            return None
+        hand, moving = self.closing.path.hand, self.closing.path.moving
+        touching = {contact.finger for contact in closure.contacts}
+        met: dict[str, float] = {}
+        for finger in hand.fingers:
+            own = [hand.actuator_index(name) for name in finger.actuators]
+            stopped = [closure.shares[i] for i in own if closure.blocked[i] and moving[i]]
+            if finger.name in touching:
+                met[finger.name] = float(min(stopped, default=closure.first))
+        sides = [[met[finger] for finger in side if finger in met] for side in self.opening.sides]
+        if not all(sides):
+            return None
+        opening = self.opening
+        rate = (opening.intensity[-1] - opening.intensity[0]) / (opening.widest - opening.narrowest)
+        last = max(min(side) for side in sides) + _LATE * float(rate)
+        # The palm, which belongs to no finger, is there from the beginning.
+        there = tuple(c for c in closure.contacts if met.get(c.finger, 0.0) <= last)
+        return replace(closure, contacts=there)
 
     def closing_on(self, candidate: PoseCandidate) -> HandClosing:
         """Return what closes the hand at a pose, once the object is where it stays."""
@@ -148,6 +186,10 @@ def search_together(
             if search.by_force(candidate.width) and not candidate.centred:
                 search.ready += _centred(scene, search.closing, candidate, closure)
                 continue
+            if search.by_force(candidate.width):
+                closure = search.pressing(closure)
+                if closure is None:
+                    continue
             ground = search.ground
             if ground is not None and not ground.clears(search.closing, candidate, closure):
                 search.blocked = True
