@@ -4,7 +4,8 @@ The object is pushed by what touches it, without turning, until the forces of th
 balance, friction included. Then the actuators of the links that touch stand still, and the others
 go on until they touch, too, or are at the action's end: an actuator stalls where its link is
 blocked, as those of a real hand do. In a grasp with a force, fingers do not push: what touches
-first stands still at once, until the others touch.
+first stands still at once, until the others touch. Which of them are there in time to press:
+`Search.pressing`; what they then do to the object: `springs`.
 """
 
 from __future__ import annotations

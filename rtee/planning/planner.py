@@ -118,8 +118,9 @@ _BALANCES: Final = (0.3, 0.6)
 the most, and the object is pushed away once it is lifted; above the second, it stays."""
 
 _SINKS: Final = (2.5e-3, 5e-3)
-"""Distances by which its weight moves an object in the hand [m]: up to the first, half of the slip
-of an object that counts as held, it is safe; beyond the second it is not held."""
+"""Distances by which a force of the size of its weight moves an object in the hand [m]: up to the
+first, half of the slip of an object that counts as held, it is safe; beyond the second, all of it,
+it is not held."""
 
 _MEETING: Final = 0.3
 """Share by which a grasp is worse if fingers of one side meet one another before the object: each
@@ -412,10 +413,9 @@ class Planner:
         contacts = closure.contacts[:_MOST_CONTACTS]
         arms = np.array([contact.point for contact in contacts]) - self._centre(closure)
         normals = np.array([contact.normal for contact in contacts])
-        down = -GRAVITY * self.obj.mass * self._up(grasp.candidate)
         held = scaled(pressed, search.normal(force))
-        sinks = sunk(held, maps, self._gains, arms, normals, down)
-        firm = 1.0 - _ramp(sinks, _SINKS)
+        weight = GRAVITY * self.obj.mass
+        firm = 1.0 - _ramp(sunk(held, maps, self._gains, arms, normals, weight), _SINKS)
         if search.meet_first(closure):
             firm *= _MEETING
         near = [
@@ -541,12 +541,6 @@ class Planner:
             overhang=0.0 if top is None else round(top.overhang, 4),
         )
         return self._mounted(plan, candidate.pose, candidate.approach_from, points)
-
-    def _up(self, candidate: PoseCandidate) -> FloatArray:
-        """Return the direction against the weight ``(3,)`` at a pose."""
-        if self.ground is None:
-            return -self.task.weight_axis
-        return self.ground.top(candidate.pose, candidate.approach_from).up
 
     def _strongest(self, grasp: FoundGrasp) -> float:
         """Return the strongest force between the fingertips [N]; 0 without an opening."""

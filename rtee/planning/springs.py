@@ -111,9 +111,12 @@ def sunk(
     stiffness: FloatArray,
     arms: FloatArray,
     normals: FloatArray,
-    weight: FloatArray,
+    weight: float,
 ) -> float:
-    """Return how far a weight moves an object that fingers hold [m]; infinite: they don't hold it.
+    """Return how far a force moves an object that fingers hold [m]; infinite: they don't hold it.
+
+    Fingers that are not equally strong, and an arm that starts, push it in any direction: the one
+    in which the springs yield most counts.
 
     Args:
         pressed: The forces that hold it ``(k, 3)`` [N].
@@ -121,7 +124,7 @@ def sunk(
         stiffness: Gains of the actuators ``(n,)``.
         arms: The contacts relative to the object's centre of mass ``(k, 3)`` [m].
         normals: Their unit normals ``(k, 3)``.
-        weight: The weight ``(3,)`` [N].
+        weight: The size of the force [N].
     """
     part: BoolArray = pressed.normal > _TAKES_PART * pressed.normal.max(initial=0.0)
     springs: BoolArray = stiffness > 0.0
@@ -145,7 +148,8 @@ def sunk(
     held[3:, 3:] += geometric / length**2
     if np.linalg.eigvalsh(held)[0] <= 0.0:
         return math.inf
-    return float(np.linalg.norm(np.linalg.solve(held, np.concatenate([weight, np.zeros(3)]))[:3]))
+    yielding = np.linalg.inv(held)[:3, :3]
+    return weight * float(np.linalg.eigvalsh(yielding)[-1])
 
 
 def _crossed(arm: FloatArray) -> FloatArray:

@@ -75,8 +75,7 @@ def sinks(contacts: list[Contact], maps: FloatArray, force: float) -> float:
     normals = np.array([contact.normal for contact in contacts])
     pressing_with = scaled(held, 2.0 * force)
     assert pressing_with.normal == pytest.approx([force, force])
-    weight = np.array([0.0, 0.0, -1.0])
-    return sunk(pressing_with, maps, np.full(6, SPRING), arms, normals, weight)
+    return sunk(pressing_with, maps, np.full(6, SPRING), arms, normals, 1.0)
 
 
 def test_a_weight_sinks_by_the_yield_of_the_tips(contacts: list[Contact], maps: FloatArray) -> None:
@@ -96,5 +95,4 @@ def test_a_single_contact_does_not_hold(contacts: list[Contact], maps: FloatArra
     alone = Pressing(1.0, np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.array([1.0, 0.0]))
     arms = np.array([contact.point for contact in contacts])
     normals = np.array([contact.normal for contact in contacts])
-    weight = np.array([0.0, 0.0, -1.0])
-    assert sunk(alone, maps, np.full(6, SPRING), arms, normals, weight) == math.inf
+    assert sunk(alone, maps, np.full(6, SPRING), arms, normals, 1.0) == math.inf
