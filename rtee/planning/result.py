@@ -77,8 +77,8 @@ class GraspPlan(Value):
             row [m].
         held_pose: The same after it has closed: the fingers may push the object.
         approach_from: Start of the object's approach, relative to the hand ``(3,)`` [m].
-        contacts: Contacts of the hand with the object; with a force, those of the fingers that touch
-            in time to press.
+        contacts: Contacts of the hand with the object; with a force, those of the fingers that
+            touch in time to press.
         reasons: Why it has its rank, one sentence each.
         check: Result in the simulation, if it was tried there.
         flange_pose: Pose of the arm's flange ``(4, 4)`` in the object's frame before the hand
