@@ -52,6 +52,7 @@ HELP = {
     "slow": "additional time of a flush to the disk in an overload [s]",
     "still": "least motion that counts [rad | m]",
     "tries": "number of times each thing is done",
+    "varied": "variations of each grasp",
     "warm": "time before the measurement [s]",
     "witness": "cyclictest beside the loop",
 }

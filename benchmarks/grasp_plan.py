@@ -12,8 +12,9 @@ shaken:
 
 Run: ``python benchmarks/grasp_plan.py [--hands H …] [--only THING] [--places N] [--no-trials]``;
 prints Markdown. ``--table`` tries the first choices for what stands on a table, there and with
-variations (of another ``--seed``), and prints how many of each score held; ``--others`` does so
-with shapes to which no constant of the planner was fitted. ``--no-trials`` plans only, and prints
+variations (``--varied`` of them, of another ``--seed``), and prints how many of each score held;
+``--others`` does so with other shapes, ``--unseen`` with shapes to which no constant of the planner
+was fitted. ``--no-trials`` plans only, and prints
 the processor time of each plan.
 """
 
@@ -65,6 +66,16 @@ OTHERS = (
     "sphere:0.022",
     "capsule:0.02x0.1",
 )
+UNSEEN = (
+    "box:0.045x0.045x0.07",
+    "box:0.1x0.05x0.04",
+    "cylinder:0.022x0.06",
+    "cylinder:0.035x0.09",
+    "sphere:0.035",
+    "sphere:0.026",
+    "capsule:0.025x0.06",
+    "box:0.025x0.05x0.08",
+)
 BINS = (0.2, 0.4, 0.6, 0.8)  # of scores
 SEED = 13  # of the random actions, so that runs can be compared
 
@@ -106,7 +117,7 @@ def planned(ready: TrialBench, obj: GraspObject) -> tuple[str, bool, bool, float
     return label, label in held, bool(held), *took
 
 
-def from_table(hands: list[str], things: list[str], seed: int) -> None:
+def from_table(hands: list[str], things: list[str], seed: int, times: int) -> None:
     """Print how often first choices for what stands on a table hold there, and with variations."""
     table = Table("hand", "object", "first choice", "score", "held", "varied", "pressed [N]")
     by_score: list[tuple[float, int]] = []
@@ -126,7 +137,7 @@ def from_table(hands: list[str], things: list[str], seed: int) -> None:
             if not ranking.plans:
                 table.row(name, obj, "none", "", "", "", "")
                 continue
-            plan, draws = ranking.plans[0], [None, *(_small(seed, n) for n in range(VARIED))]
+            plan, draws = ranking.plans[0], [None, *(_small(seed, n) for n in range(times))]
             first, *others = [
                 check_plan(ready, target, ranking, plan, variation) for variation in draws
             ]
@@ -143,7 +154,7 @@ def from_table(hands: list[str], things: list[str], seed: int) -> None:
         found = [(score, count) for score, count in by_score if low <= score < high]
         if found:
             mean = sum(score for score, _ in found) / len(found)
-            tries = len(found) * (VARIED + 1)
+            tries = len(found) * (times + 1)
             share = f"{sum(count for _, count in found)} of {tries}"
             calibration.row(f"{low} to {min(high, 1.0)}", len(found), f"{mean:.2f}", share)
 
@@ -171,10 +182,11 @@ def planning_times(hands: list[str], things: list[str]) -> None:
 
 def main() -> None:
     """Print the figures as Markdown."""
-    parser = command_line(__doc__, only="", places=3, seed=TABLE_SEED)
+    parser = command_line(__doc__, only="", places=3, seed=TABLE_SEED, varied=VARIED)
     parser.add_argument("--hands", nargs="+", default=list(HANDS), help="names of hands")
     parser.add_argument("--table", action="store_true", help="things stand on a table")
     parser.add_argument("--others", action="store_true", help="other shapes stand there")
+    parser.add_argument("--unseen", action="store_true", help="shapes of no fit stand there")
     parser.add_argument("--no-trials", action="store_true", help="time planning only")
     arguments = parser.parse_args()
     if arguments.no_trials:
@@ -182,9 +194,10 @@ def main() -> None:
         planning_times(arguments.hands, things)
         return
     if arguments.table:
-        things = [*OTHERS] if arguments.others else [*sorted(MASSES), *SHAPES]
+        things = [*UNSEEN] if arguments.unseen else [*sorted(MASSES), *SHAPES]
+        things = [*OTHERS] if arguments.others else things
         things = [obj for obj in things if arguments.only in obj]
-        from_table(arguments.hands, things, arguments.seed)
+        from_table(arguments.hands, things, arguments.seed, arguments.varied)
         return
     table = Table(
         "hand",
