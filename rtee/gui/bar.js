@@ -60,7 +60,8 @@
     };
     line.onclose = () => setTimeout(connect, AGAIN);
   };
-  const since = new Date();
+  const since = new Date(), NO_ANSWER = "the GUI does not answer";
+  let why = NO_ANSWER, asking = false;
   const look = async () => {
     const own = document.querySelector("[data-rtee-window]")?.dataset.rteeWindow ?? "";
     if (own && own !== window_) {
@@ -69,23 +70,26 @@
     }
     // Count checks, too: a page that slept, or drew for long, has not read its messages meanwhile.
     if (performance.now() - heard < SILENT || ++silent < 4) return;
-    if (!lost) since.setTime(Date.now() - (performance.now() - heard));
+    if (!lost) {
+      since.setTime(Date.now() - (performance.now() - heard));
+      why = NO_ANSWER;
+      say("doing", "");
+    }
     lost = true;
     document.documentElement.classList.add("rtee-old");
     document.title = "no GUI";
     say("held", "no data", "bad");
-    let why = "the GUI does not answer";
-    if (line.readyState !== WebSocket.OPEN)
-      try {
-        const answer = await fetch("/", { method: "GET", cache: "no-store" });
-        if (answer.status === 403) why = "the GUI was started again: open the address it has printed";
-      } catch {
-        why = "the GUI has ended";
-      }
-    if (!lost) return;
     say("link", `this page shows the state at ${since.toTimeString().slice(0, 8)}; ${why}`, "bad");
     say("mode", "STOP cannot reach the hand, use the emergency stop", "bad");
-    say("doing", "");
+    if (line.readyState === WebSocket.OPEN || asking) return;
+    asking = true;
+    try { // a network that is down may answer nothing at all
+      const answer = await fetch("/", { cache: "no-store", signal: AbortSignal.timeout(AGAIN) });
+      why = answer.status === 403 ? "the GUI was started again: open the address it has printed" : NO_ANSWER;
+    } catch (error) {
+      why = error.name === "TimeoutError" ? NO_ANSWER : "the GUI has ended";
+    }
+    asking = false;
   };
 
   const TYPED = new Set(["text", "number", "search", "password", "email", "url", ""]);
