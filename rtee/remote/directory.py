@@ -107,7 +107,9 @@ def _own_folder(*, make: bool) -> int | None:
     except NotADirectoryError:  # a link, too
         pass
     except OSError as error:
-        raise ConfigError(f"cannot be used: {reason(error)}", path=folder) from None
+        raise ConfigError(
+            f"cannot be used: {reason(error)}; set {VARIABLE} to a folder of yours", path=folder
+        ) from None
     if descriptor is not None:
         os.close(descriptor)
     raise ConfigError(

@@ -131,6 +131,18 @@ def test_other_commands(nobody: Somebody, words: list[str], status: int, says: s
     assert (found, says in output + errors) == (status, True), output + errors
 
 
+@pytest.mark.heavy
+@pytest.mark.parametrize("home", [None, "", "/proc"], ids=["unset", "empty", "read-only"])
+def test_a_hand_without_a_home(nobody: Somebody, home: str | None) -> None:
+    """As in a container, or for the user of a service."""
+    environment = {name: value for name, value in nobody.environment.items() if name != "HOME"}
+    environment |= {} if home is None else {"HOME": home}
+    homeless = Somebody(nobody.python, nobody.folder, environment)
+    for words in (["run", "robotiq_2f_85", "--duration", "0.2", "--no-log"], ["hands"]):
+        status, output, errors = homeless.rtee(*words)
+        assert (status, "robotiq_2f_85" in output) == (0, True), errors
+
+
 def test_an_image_of_ones_own_needs_no_root(nobody: Somebody) -> None:
     root = nobody.folder / "image"
     for name in ("etc", "etc/passwd", "etc/group"):

@@ -30,7 +30,7 @@ pytestmark = [
 ]
 
 LARGEST = 200 * 2**20
-"""What the online half may take of the disk of a robot PC [bytes]."""
+"""What the online half may take of the disk of a robot PC [bytes]; why: docs/dependencies.md."""
 
 FROM_CHECKOUT = install_line("").partition("[")[0]
 """Beginning of the command by which this process says to install an extra."""
@@ -165,6 +165,9 @@ def test_every_command_of_the_wheel(version: str, wheel: Path, tmp_path: Path) -
     installed.pip("uninstall", "--yes", "pin", "coal")
     installed.pip("install", f"{wheel}[gui]")
     assert do(installed.bin / "python", "-c", SHOW, HIDDEN.parent, "").endswith("shown\n")
+    installed.pip("uninstall", "--yes", "rtee")
+    left = [path for path in installed.bin.parent.rglob("*") if "rtee" in path.name]
+    assert not left, "uninstalling leaves files"
 
 
 @pytest.mark.parametrize("version", PYTHONS)

@@ -10,6 +10,7 @@ import shutil
 import signal
 import socket
 import stat
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -306,3 +307,20 @@ def test_a_name_that_another_user_keeps_prevents_nothing(
     finally:
         end.set()
         process.join()
+
+
+@root_only
+def test_the_folder_of_a_session_of_somebody_else_is_named_with_what_helps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """After `su`, XDG_RUNTIME_DIR is still that of the first user."""
+    monkeypatch.delenv(directory.VARIABLE, raising=False)
+
+    def work() -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            os.chmod(folder, 0o500)
+            os.environ["XDG_RUNTIME_DIR"] = folder
+            with pytest.raises(ConfigError, match="permission denied; set RTEE_RUNTIME_DIR"):
+                directory.own_folder()
+
+    as_nobody(work)
