@@ -322,6 +322,9 @@ def read_actions(hand: Hand, folder: Path) -> list[Action]:
     Raises:
         ActionError: for every mistake, with file and line.
     """
+    for place in (folder, *(folder / each for each in (PRIMITIVES, *CUSTOM))):
+        if os.path.lexists(place) and not os.path.isdir(place):
+            raise ActionError("is not a folder", path=place)
     primitives: list[Primitive] = []
     # First, since custom actions refer to them.
     for path in _files(folder / PRIMITIVES):

@@ -294,6 +294,14 @@ def test_failed_reload_leaves_the_library_as_it_was(library: ActionLibrary, tmp_
     assert list(library) == before
 
 
+@pytest.mark.parametrize("name", ["actions", "actions/composed"])
+def test_a_file_in_the_place_of_a_folder(name: str, hand: Hand, tmp_path: Path) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("a file, not a folder")
+    with pytest.raises(ActionError, match=f"{name}: is not a folder"):
+        ActionLibrary.load(hand, tmp_path / "actions")
+
+
 def test_unwritable_folder_is_one_sentence(library: ActionLibrary, tmp_path: Path) -> None:
     (tmp_path / "generic").write_text("a file, not a folder")
     with pytest.raises(ConfigError, match="cannot be"):
