@@ -469,6 +469,11 @@ F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 
 
+_SILENCE = 3.0
+"""Time after which a command says that it waits for a hand's answer [s], which takes milliseconds;
+it gives up after some ten seconds."""
+
+
 def with_hand(
     hand: str | None,
     endpoint: str | None,
@@ -486,6 +491,8 @@ def with_hand(
         function: The function.
         wait: Longest time to wait until the hand runs and is ready [s]; ``None``: do not wait.
     """
+    import asyncio
+
     import anyio
 
     from rtee.remote.client import connect
@@ -493,9 +500,15 @@ def with_hand(
     async def main() -> T:
         began, within = monotonic.now(), wait or 0.0
         name = f"rtee-{what}"
+        told = waiting if wait else None
+        silence = f"the hand has not answered for {_SILENCE:g} s"
+        late = asyncio.get_running_loop().call_later(_SILENCE, waiting, silence)
+        if told:  # which says more
+            late.cancel()
         async with connect(
-            hand, endpoint=endpoint, client=name, wait=within, on_wait=waiting if wait else None
+            hand, endpoint=endpoint, client=name, wait=within, on_wait=told
         ) as remote:
+            late.cancel()
             if wait is not None:
                 # Connecting has used up part of the time.
                 await remote.ready(max(0.0, began + wait - monotonic.now()), waiting)

@@ -6,10 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import anyio
 import pytest
 from rtee_process import RTEE
 
+from rtee.cli import _common
 from rtee.cli.main import main
+from rtee.errors import NoHand
 from rtee.remote.directory import about_to_run, starting
 
 
@@ -84,6 +87,33 @@ def test_the_first_word_is_the_hand_that_is_waited_for(
     with pytest.raises(SystemExit):
         main()
     assert "the hand 'schunk_svh' is not running on this computer" in capsys.readouterr().err
+
+
+def test_a_hand_that_does_not_answer_is_waited_for_in_words(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told: list[str] = []
+    heard = anyio.Event()
+
+    class Silent:
+        async def __aenter__(self) -> None:
+            await heard.wait()
+            raise NoHand("it does not answer")
+
+        async def __aexit__(self, *_: object) -> None: ...
+
+    def hear(text: str) -> None:
+        told.append(text)
+        heard.set()
+
+    async def nothing(_: object) -> None: ...
+
+    monkeypatch.setattr("rtee.remote.client.connect", lambda *_, **__: Silent())
+    monkeypatch.setattr(_common, "_SILENCE", 0.0)
+    monkeypatch.setattr(_common, "waiting", hear)
+    with pytest.raises(NoHand):
+        _common.with_hand(None, None, "do", nothing)
+    assert told == ["the hand has not answered for 0 s"]
 
 
 def test_a_watch_of_no_hand_says_that_it_waits(
