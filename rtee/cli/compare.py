@@ -107,7 +107,7 @@ def compare(
         print(json.dumps({**found.document(), "page": str(page)}, indent=2))
     else:
         _show(found)
-        print(f"{found.sentence()}\nthe page, with pictures: {page}")
+        print(f"{found.sentence()}\nthe page: {page}")
     if found.covering()[1]:
         raise typer.Exit(1)
 

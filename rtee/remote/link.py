@@ -17,6 +17,7 @@ import anyio.to_thread
 import zenoh
 
 from rtee.errors import (
+    ConfigError,
     GoalRejected,
     LeaseHeld,
     MessageError,
@@ -256,12 +257,19 @@ class Link:
 
         Raises:
             NoHand: if there is no answer within the time [s].
+            ConfigError: if called in another event loop than that of this client.
             LeaseHeld: if another client holds the lease.
             RequestRejected: if the hand refuses the request, with its reason.
         """
         request = REQUESTS[name]
         if self.gone and request.group == CONTROL:
             raise self.lost()
+        # A stop is sent all the same, though nobody can wait for its answer there.
+        if request.group != STOP and asyncio.get_running_loop() is not self._loop:
+            raise ConfigError(
+                "this client belongs to another event loop; connect in each, or use "
+                "rtee.connect_blocking, whose methods any thread may call"
+            )
         future: asyncio.Future[bytes] = self._loop.create_future()
 
         def replied(reply: zenoh.Reply) -> None:

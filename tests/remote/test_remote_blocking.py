@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import copy
 import pickle
@@ -145,6 +146,20 @@ def test_a_forgotten_async_with_is_named() -> None:
     with pytest.raises(ConfigError, match="write 'async with"), unopened:
         pass
     assert not hasattr(unopened, "shape")
+
+
+def test_a_client_of_another_event_loop_is_refused(served: Served) -> None:
+    async def main() -> None:
+        async with rtee.connect("small") as remote:
+
+            async def elsewhere() -> None:
+                with pytest.raises(ConfigError, match="belongs to another event loop"):
+                    await remote.do("Trig", "index")
+
+            await asyncio.to_thread(asyncio.run, elsewhere())
+            assert (await remote.state()).tick > 0
+
+    asyncio.run(main())
 
 
 def test_another_event_loop_is_named() -> None:
