@@ -24,7 +24,7 @@ from rtee.loop import contact_rules
 from rtee.loop.controller import Controller
 from rtee.loop.measured import TIP_FORCE, Measured, tip_forces
 from rtee.loop.plan import Plan
-from rtee.loop.snapshot import lacks, restore
+from rtee.loop.snapshot import differs, restore
 from rtee.messages import topics
 from rtee.sample import FloatArray, Measurements, measured_arrays
 from rtee.types import Result, readonly
@@ -85,8 +85,8 @@ class ReplayCheck:
         missing: Ticks missing in the recording.
         damage: Sentences about damage, such as a part that fails its checksum.
         rules: Version of the rules of contact with which it was recorded.
-        lacking: Fields of the controller that the state at its beginning lacks, since another
-            version of rtee wrote it; they began as in a new controller.
+        differing: Fields in which the controller's state at its beginning differs from those of
+            this version of rtee, since another one wrote it; see `rtee.loop.snapshot.restore`.
     """
 
     ticks: int
@@ -99,20 +99,21 @@ class ReplayCheck:
     missing: int
     damage: tuple[str, ...] = ()
     rules: int = contact_rules.VERSION
-    lacking: tuple[str, ...] = ()
+    differing: tuple[str, ...] = ()
 
     @property
     def note(self) -> str:
-        """The reason why references may differ without a fault; empty if there is none."""
-        if self.lacking:
-            return f"it {lacks(self.lacking)}"
-        if self.rules == contact_rules.VERSION:
-            return ""
-        return (
-            f"recorded with version {self.rules} of the rules of contact, computed with version "
-            f"{contact_rules.VERSION}: after a contact, or a stream that ended near a limit, "
-            "references may differ on purpose"
-        )
+        """The reasons why references may differ without a fault, a line each; mostly empty."""
+        reasons = []
+        if self.rules != contact_rules.VERSION:
+            reasons.append(
+                f"recorded with version {self.rules} of the rules of contact, computed with "
+                f"version {contact_rules.VERSION}: after a contact, or a stream that ended near a "
+                "limit, references may differ on purpose"
+            )
+        if self.differing:
+            reasons.append(f"it {differs(self.differing)}")
+        return "\n".join(reasons)
 
     @property
     def same(self) -> bool:
@@ -171,8 +172,8 @@ def check(recording: Recording | Iterable[Recording]) -> ReplayCheck:
     except (ValueError, ArithmeticError, AttributeError, LookupError, TypeError) as error:
         if isinstance(error, RteeError):
             raise
-        if isinstance(error, AttributeError) and checker.lacking:
-            raise LogError(lacks(checker.lacking), path=checker.path) from error
+        if isinstance(error, AttributeError) and checker.differing:
+            raise LogError(differs(checker.differing), path=checker.path) from error
         raise LogError(f"cannot be recomputed: {error}", path=checker.path) from error
     return checker.checked()
 
@@ -196,7 +197,7 @@ class _Checker:
         self._newest = 0  # results of the last tick
         self._begin = self._next_tick = 0  # the first tick, and that after the last one
         self._begin_wall = -1
-        self.lacking: tuple[str, ...] = ()
+        self.differing: tuple[str, ...] = ()
         self._sum = ReplayCheck(0, 0, 0, 0, 0.0, None, True, 0, rules=replayable.rules)
 
     def take(self, piece: Recording) -> None:
@@ -245,7 +246,10 @@ class _Checker:
                     "recomputed (with rotated files: give --series)",
                     path=self.path,
                 )
-            self.lacking = restore(self._controller, state["nodes"])
+            try:
+                self.differing = restore(self._controller, state["nodes"])
+            except LogError as error:
+                raise LogError(error.message, path=self.path) from None
             # It was captured before its tick's results were reported: they belong to the state
             # before.
             self._controller.outbox.items.clear()
@@ -363,7 +367,7 @@ class _Checker:
             and len(self._computed) <= self._newest
             and len(self._recorded) <= 1,
             missing=self._next_tick - self._begin - self._sum.ticks,
-            lacking=self.lacking,
+            differing=self.differing,
         )
 
 

@@ -141,8 +141,9 @@ def restore(controller: Controller, nodes: list[Any]) -> tuple[str, ...]:
     """Set the state of a new controller.
 
     Returns:
-        Fields that the lists lack, as ``class.field``: another version wrote them. The controller
-        keeps the value that it began with, if it has such an object; else the field stays unset.
+        Fields that the lists lack, or that only they have, as ``class.field``: another version
+        wrote them. A field that they lack keeps the value with which a new controller begins, if
+        that has such an object; else it stays unset.
 
     Raises:
         LogError: if the lists do not describe a state.
@@ -152,16 +153,16 @@ def restore(controller: Controller, nodes: list[Any]) -> tuple[str, ...]:
         restoring.value([0], controller)
         controller.restored()
     except (AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
-        if isinstance(error, AttributeError) and restoring.lacking:
-            raise LogError(lacks(restoring.lacking)) from None
+        if isinstance(error, AttributeError) and restoring.differing:
+            raise LogError(differs(restoring.differing)) from None
         raise LogError(f"contains an invalid state of the controller: {error}") from None
-    return tuple(restoring.lacking)
+    return tuple(restoring.differing)
 
 
-def lacks(names: Iterable[str]) -> str:
-    """Return the sentence about fields that a recorded state lacks."""
+def differs(names: Iterable[str]) -> str:
+    """Return the sentence about the fields in which a recorded state differs from a present one."""
     return (
-        "begins with the controller state of another version of rtee, which lacks "
+        "begins with the controller state of another version of rtee, which differs in "
         f"{', '.join(names)}: recompute it with that version, or together with the files before "
         "it, from the loop's start on (--series)"
     )
@@ -180,7 +181,7 @@ class _Restoring:
         }
         self._nodes = nodes
         self._made: dict[int, Any] = {}
-        self.lacking: dict[str, None] = {}  # as an ordered set
+        self.differing: dict[str, None] = {}  # as an ordered set
 
     def value(self, part: Any, there: Any) -> Any:
         """Return a part; ``there`` is its counterpart in a new controller."""
@@ -198,11 +199,14 @@ class _Restoring:
             made = its(**{name: self.value(part, None) for name, part in parts[1].items()})
         elif kind == "object":
             made = self._made[place] = there if type(there) is its else object.__new__(its)
+            strange = [name for name in _fields(its, there) if name not in parts[1]]
             for name, part in parts[1].items():
-                object.__setattr__(made, name, self.value(part, getattr(made, name, None)))
-            for name in _fields(its, there):
-                if name not in parts[1]:
-                    self.lacking[f"{its.__name__}.{name}"] = None
+                value = self.value(part, getattr(made, name, None))
+                try:
+                    object.__setattr__(made, name, value)
+                except AttributeError:  # a field that the class no longer has
+                    strange.append(name)
+            self.differing |= dict.fromkeys(f"{its.__name__}.{name}" for name in strange)
         elif kind == "list":
             made = self._made[place] = []
             made += [self.value(part, None) for part in parts]

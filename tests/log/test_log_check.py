@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import fields, replace
 from pathlib import Path
@@ -133,22 +133,27 @@ async def test_references_come_out_again(
     again = check(later)
     assert again.same, again.first
     assert again.ticks >= len(later.reference) - 1
-    assert not again.lacking
+    assert not again.differing
     assert later.results[0].value.goal_id == "on its way"
     # A field that this version needs, and one that a new controller has, too.
-    with pytest.raises(LogError, match=r"lacks _Run\.plan: recompute it with that version, or "):
+    with pytest.raises(
+        LogError, match=r"differs in _Run\.plan: recompute it with that version, or "
+    ):
         check(without(later, "rtee.loop.executor:_Run", "plan"))
     fewer = check(without(later, "rtee.loop.thermal:Thermal", "_again"))
-    assert fewer.lacking == ("Thermal._again",)
-    assert "lacks Thermal._again" in fewer.note
+    assert fewer.differing == ("Thermal._again",)
+    assert "differs in Thermal._again" in fewer.note
+    more = check(altered(later, "rtee.loop.executor:_Run", lambda given: given.update(gone=1.0)))
+    assert more.same
+    assert more.differing == ("_Run.gone",)
     unknown = {"attachments": {k: v for k, v in later.attachments.items() if k != STATE}}
     with pytest.raises(LogError, match="only what was recorded from the loop's start"):
         check(replace(later, **unknown))
     nonsense = json.loads(later.attachments[STATE])
     nonsense["nodes"][0] = ["object", "rtee.loop.plan:make_plan", {}]
-    altered = later.attachments | {STATE: json.dumps(nonsense).encode()}
+    changed = later.attachments | {STATE: json.dumps(nonsense).encode()}
     with pytest.raises(LogError, match="contains an invalid state"):
-        check(replace(later, attachments=altered))
+        check(replace(later, attachments=changed))
     found = read(first)
     assert len(found.goals) == len(found.plans) == 6
     report = check(found)
@@ -370,10 +375,17 @@ async def test_a_part_may_begin_and_end_between_a_tick_and_its_result(
 
 def without(recorded: Recording, kind: str, name: str) -> Recording:
     """Return a recording whose controller state is that of a version without a field."""
+    return altered(recorded, kind, lambda given: given.pop(name))
+
+
+def altered(
+    recorded: Recording, kind: str, change: Callable[[dict[str, object]], object]
+) -> Recording:
+    """Return a recording with a change to the fields of some objects of the controller's state."""
     state = json.loads(recorded.attachments[STATE])
     for node in state["nodes"]:
         if node[:2] == ["object", kind]:
-            del node[2][name]
+            change(node[2])
     return replace(recorded, attachments=recorded.attachments | {STATE: json.dumps(state).encode()})
 
 
