@@ -64,7 +64,7 @@ class Closing(Enum):
     """Two jaws press with equal forces."""
     FINGERS = (0.0, 0.28, 0.38, 0.65, 0.8), (0.0, 0.1, 0.6, 0.75, 0.95)
     """Several fingers that share motors push the object until they oppose each other."""
-    WAITING = (0.0, 0.25, 0.45, 0.6, 0.75, 0.9), (0.03, 0.15, 0.35, 0.7, 0.9, 0.95)
+    WAITING = (0.0, 0.1, 0.2, 0.3, 0.5, 0.65, 0.9), (0.03, 0.1, 0.3, 0.6, 0.8, 0.93, 0.97)
     """The sides wait for one another, then press with the same force."""
     UNEVEN = (0.0, 1.0), (0.1, 0.2)
     """Fingers with motors of their own push the object, and press with efforts that do not
