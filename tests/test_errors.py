@@ -6,10 +6,12 @@ import contextlib
 import json
 import signal
 from importlib import metadata
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from rtee.cli.main import cli
 from rtee.errors import ConfigError, MissingExtra, needing_extra
 
 
@@ -46,6 +48,21 @@ def test_what_cannot_be_loaded_is_not_called_missing() -> None:
         + lacking
     )
     assert not isinstance(caught.value, MissingExtra)
+
+
+@pytest.mark.parametrize(
+    ("option", "extra"),
+    [("--gui", "gui"), ("--ros2", "ros2"), ("--metrics=127.0.0.1:9464", "metrics")],
+)
+def test_packages_that_are_only_looked_for_are_called_missing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, option: str, extra: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    words = ["run", "robotiq_2f_85", option, "--duration=0.1", "--no-log"]
+    monkeypatch.setattr("sys.argv", ["rtee", *words])
+    with pytest.raises(MissingExtra, match=f"needs the extra '{extra}': "):
+        cli(words, standalone_mode=False)
 
 
 def test_ctrl_c_ends_imports_that_take_it_for_a_missing_package() -> None:

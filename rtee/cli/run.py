@@ -38,7 +38,7 @@ def _companions(gui: bool, hands: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     with needing_extra("the GUI", "gui"):
         if importlib.util.find_spec("viser") is None:  # importing it would take a second
             # As the import would; `needing_extra` turns it into a sentence.
-            raise ImportError
+            raise ModuleNotFoundError
     # The name of a hand given by its folder is not known yet; the GUI shows the first that runs.
     shown = [] if Path(hands[0]).exists() else [hands[0]]
     return (beside_this_run("gui", *shown),)

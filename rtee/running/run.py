@@ -185,7 +185,7 @@ def _in_ros2(
     if shown:
         with needing_extra("ROS 2", "ros2"):
             if importlib.util.find_spec("xxhash") is None:
-                raise ImportError
+                raise ModuleNotFoundError
         yield beside_this_run("ros2", "serve", *shown)
 
 
@@ -199,7 +199,7 @@ def _metrics(prepared: Sequence[PreparedHand], options: RunOptions) -> Iterator[
     for listen, names in hands.items():
         with needing_extra("metrics", "metrics"):
             if importlib.util.find_spec("prometheus_client") is None:
-                raise ImportError
+                raise ModuleNotFoundError
         yield beside_this_run("metrics", *names, "--listen", listen)
 
 
