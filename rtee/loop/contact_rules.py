@@ -59,10 +59,6 @@ ALL: Final = 0.9
 """Share of its limit above which an actuator exerts all that it may: motors keep to it no
 better."""
 
-_GIVES: Final = 0.9
-"""An object gives way when a finger that leads deeper presses with less than this share of what it
-has pressed with: on what stays, all press harder. Sensors are accurate to some 10 %."""
-
 _GAINS: Final = 1.25
 """An actuator catches up with its reference when it moves by this multiple of the reference's
 motion: more than the noise of its position, and more than follows while the reference brakes."""
@@ -158,16 +154,6 @@ def may_oppose(felt: bool | None, *, left: float, tolerance: float) -> bool:
         tolerance: Position error that counts as none [rad | m].
     """
     return felt is None and left <= tolerance
-
-
-def gives_way(force: float, most: float) -> bool:
-    """Return whether an object slides or rolls out of a finger that presses on it deeper.
-
-    Args:
-        force: The force on the finger [N].
-        most: The largest one since it has pressed deeper [N].
-    """
-    return force < _GIVES * most
 
 
 def both_press(sides: Sequence[float]) -> bool:

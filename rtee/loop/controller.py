@@ -347,20 +347,13 @@ class Controller:
         """Return a plan, without its approach if the object is held, and the grip's efforts.
 
         Opening first would drop the object. The new force is built up from the effort limits that
-        hold it, by actuator [N·m | N], and from references that lead beyond the end of the action.
+        hold it, by actuator [N·m | N].
         """
         around = isinstance(plan.to, Around) and len(plan.legs) > 1
         if not (around and any(self._contact.grasping(i) for i in plan.involved)):
             return plan, {}
         kept = {i: self.reference_effort[i] for i in plan.involved}
-        last, here = plan.legs[-1], self._limiter.position
-        beyond = {
-            i: here[i]
-            for i, target in last.targets.items()
-            if (here[i] - target) * (target - self.hand.actuators[i].rest) > 0.0
-        }
-        leg = replace(last, targets={**last.targets, **beyond})
-        return replace(plan, legs=(leg,)), kept
+        return replace(plan, legs=plan.legs[-1:]), kept
 
     def _restarts(self, targets: Mapping[int, float], stamp: float) -> dict[int, float]:
         """Return from where to restart references that lead into an object, by index [rad | m].

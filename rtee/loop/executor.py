@@ -549,7 +549,7 @@ class Executor:
         ]
 
     def _judge(self, run: _Run, stamp: float, measured: Measured) -> None:
-        error = self._norms(self._aims(run), measured.position)
+        error = self._norms(run.present.targets, measured.position)
         if self._reflexes.around and self._reflexes.touched:
             # The object is wider than assumed: the fingers close on it from here.
             run.reached[run.leg], run.progress[run.leg] = True, 1.0
@@ -559,8 +559,6 @@ class Executor:
         run.progress[run.leg] = max(run.progress[run.leg], self._progress(run, error))
         targets = run.present.targets
         arrived = self._within(run, error) and self._settled(run)
-        # On the way there, the end of the action has been passed.
-        arrived = arrived and (self._reflexes.beyond is None or not self._reflexes.building)
         # An object held on the last millimetre counts as held, though the target is reached, too.
         held = any(self._contact.grasping(i) for i in targets)
         if not held and self._bears(run, stamp, measured):
@@ -588,11 +586,6 @@ class Executor:
             run.stalled[run.leg] = True
         run.phase = Phase.AFTER
         run.until = stamp + run.present.after
-
-    def _aims(self, run: _Run) -> Mapping[int, float]:
-        """Return where the leg's actuators close to: as they press, maybe beyond their targets."""
-        targets, i = run.present.targets, self._reflexes.beyond
-        return targets if i is None else {**targets, i: self._profile.target[i]}
 
     def _near(self, run: _Run, stamp: float, measured: Measured) -> bool:
         """Return whether each actuator rests within its play of its target.
@@ -631,10 +624,8 @@ class Executor:
             return run.bears == run.bears  # as at its last measurement
         grip, contact, position = run.plan.grip, self._contact, measured.position
         word = measured.grasped[i] == 1
-        # Fingers that bend have an opening only where they met the object.
-        met = self._met if self._met and self._bends(run) else position
         nothing = grip is None or rules.may_be_nothing(
-            grip.opening(met), grip.doubt(met), word=word
+            grip.opening(position), grip.doubt(position), word=word
         )
         if nothing or not contact.bears(i, measured, self._limits[i]):
             run.bears = math.nan
@@ -713,7 +704,7 @@ class Executor:
     def _over(self, run: _Run, measured: Measured) -> bool:
         """Return whether every actuator has either arrived or is blocked."""
         blocked = False
-        for i, target in self._aims(run).items():
+        for i, target in run.present.targets.items():
             if self._contact.blocked(i):
                 blocked = True
             # "not ... <=", since NaN must count as not arrived.

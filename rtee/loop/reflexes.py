@@ -21,7 +21,7 @@ from rtee.loop.motion import Limiter
 from rtee.loop.plan import Plan
 from rtee.loop.pressing import ForceEstimate, Pressing, Tare, ceilings
 from rtee.loop.profiles import Profile
-from rtee.loop.squeeze import Deeper, Held, Squeeze
+from rtee.loop.squeeze import Held, Squeeze
 from rtee.types import Around, Event, FirstContact, OnContact
 
 _LIGHT = 2.0
@@ -81,7 +81,6 @@ class _LegReactions:
         slips: Whether slips are answered and reported.
         speed: Share of the velocity limits at which the actuators squeeze.
         slowly: The same once the force is nearly there.
-        gently: The same while they lead beyond the action's posture.
         together: The force between the tips, where the fingers keep their posture as they squeeze;
             ``None``: each actuator presses with an effort of its own.
         predicted: Efforts for the force, by the levers [N·m | N].
@@ -100,7 +99,6 @@ class _LegReactions:
     slips: bool = True
     speed: float = 1.0
     slowly: float = 1.0
-    gently: float = 1.0
     together: ForceEstimate | None = None
     predicted: Mapping[int, float] = field(default_factory=dict)
     meeting: float = math.inf
@@ -178,12 +176,6 @@ class Reflexes:
     def held(self) -> Iterable[int]:
         """The actuators that squeeze an object, whose effort limits are set here."""
         return () if self._squeeze is None else self._squeeze.held
-
-    @property
-    def beyond(self) -> int | None:
-        """The actuator that presses on an object beyond the end of its action."""
-        deeper = self._squeeze.deeper if isinstance(self._squeeze, Squeeze) else None
-        return None if deeper is None or not deeper.begun else deeper.index
 
     @property
     def building(self) -> bool:
@@ -312,9 +304,8 @@ class Reflexes:
         wanted = None if force is None else force.value
         speed = leg_speed(plan, 0, self._hand)
         slowly = min(speed, squeezing_speed(plan, self._hand))
-        gently = leg_speed(plan, len(plan.legs) - 1, self._hand)
         self._approach = approach = _LegReactions(
-            watched, sides, most, touch, wanted, plan.grip, pressing, slips, speed, slowly, gently
+            watched, sides, most, touch, wanted, plan.grip, pressing, slips, speed, slowly
         )
         if any(each.mode is not OnContact.SQUEEZE for each in watched.values()):
             together = None
@@ -736,7 +727,6 @@ class Reflexes:
         if approach.force is not None:
             squeeze.force, squeeze.grip = approach.force, approach.grip
             squeeze.pressing = approach.pressing.intersection(held)
-            squeeze.deeper = self._deeper(approach)
             if approach.slowly < approach.speed:
                 velocity = {i: self._hand.actuators[i].velocity for i in held}
                 squeeze.slowly = {i: approach.slowly * top for i, top in velocity.items()}
@@ -745,20 +735,6 @@ class Reflexes:
             i: each for i, each in approach.watched.items() if each.mode is not OnContact.SQUEEZE
         }
         squeeze.begin(stamp)
-
-    def _deeper(self, approach: _LegReactions) -> Deeper | None:
-        """Return what leads an actuator beyond the end of its action, if it alone is the action.
-
-        Several would leave the path on which their fingers oppose each other.
-        """
-        grip = approach.grip
-        if grip is None or len(grip.indices) > 1:
-            return None
-        (i,), (rest,), (target,) = grip.indices, grip.rest, grip.target
-        actuator = self._hand.actuators[i]
-        end = actuator.upper if target > rest else actuator.lower
-        speed = approach.gently * actuator.velocity
-        return Deeper(self._profile, self._contact, i, end, speed, (*grip.fingers, *grip.others))
 
     def _press(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from rtee.hand.config_schema import GraspSettings
@@ -118,83 +118,6 @@ class SlipReport:
         self._report(Event("slip", who, text, stamp, "warning"))
 
 
-class Deeper:
-    """Leads a reference into an object, beyond the end of the action, while the force is too small.
-
-    Fingers that bend, and a servo that yields, reach the effort limit only there. Where the object
-    begins to slide or roll out of a finger, more would lose it.
-
-    Args:
-        profile: Moves the reference.
-        contact: Told where the actuator goes.
-        index: The actuator.
-        end: Where it may go [rad | m].
-        speed: How fast [rad/s | m/s].
-        fingers: The fingers that press, by index.
-
-    Attributes:
-        index: The actuator.
-        begun: Whether its reference has led beyond the action.
-        until: The force is expected to rise until then [s].
-    """
-
-    def __init__(
-        self,
-        profile: Profile,
-        contact: ContactMonitor,
-        index: int,
-        end: float,
-        speed: float,
-        fingers: Sequence[int],
-    ) -> None:
-        self._profile, self._contact = profile, contact
-        self.index, self._end, self._speed, self._fingers = index, end, speed, fingers
-        self.begun = self._over = False
-        self.until = -math.inf
-        self._rested = self._kept = self._last = math.nan
-        self._most: list[float] = []
-        self._pace = 0.0
-
-    def step(self, stamp: float, time: float, touch: Sequence[float], share: float) -> bool:
-        """Run one tick.
-
-        Args:
-            stamp: Now [s].
-            time: Time since the last tick [s].
-            touch: Forces on the fingers [N].
-            share: The force as a share of the requested one.
-
-        Returns:
-            Whether the reference leads further.
-        """
-        i, here = self.index, self._profile.position[self.index]
-        enough = share >= 1.0 - _THERE
-        # Only once: what creeps in the fingers would be lost by ever deeper references.
-        self._over = self._over or (enough and self.begun)
-        if enough or self._over or self._profile.moving or math.isnan(self._rested):
-            self._rested = stamp
-            if self.begun:
-                self._contact.aim(i, here)
-            return False
-        if not self.begun:
-            if stamp - self._rested < _SETTLE:
-                return False
-            self.begun, self._kept, self._most = True, stamp, list(touch)
-            self._last = stamp + abs(self._end - here) / self._speed + _RISES
-            self._contact.aim(i, self._end)
-        self._most = [max(pair) for pair in zip(self._most, touch, strict=True)]
-        if any(rules.gives_way(touch[f], self._most[f]) for f in self._fingers):
-            self._pace = 0.0
-            self._over = stamp - self._kept >= _SETTLE
-            return False
-        self._kept = stamp
-        self._pace += min(time / _FOLLOW, 1.0) * (1.0 - self._pace)
-        step = min(self._pace * self._speed * time, abs(self._end - here))
-        self._profile.seed({i: here + math.copysign(step, self._end - here)})
-        self.until = min(stamp + _RISES, self._last)
-        return True
-
-
 class Squeeze:
     """Builds up a force, eases it while it holds, and raises it when the object slips.
 
@@ -217,7 +140,6 @@ class Squeeze:
         grip: Computes the force measured at the fingertips, for a requested force.
         pressing: The actuators whose effort makes the force.
         slowly: Speeds with which they close once the force is nearly there [rad/s | m/s].
-        deeper: Leads the reference on if the force is not reached where the action ends.
     """
 
     def __init__(
@@ -241,7 +163,6 @@ class Squeeze:
         self.grip: Grip | None = None
         self.pressing: frozenset[int] = frozenset()
         self.slowly: Mapping[int, float] = {}
-        self.deeper: Deeper | None = None
         self._factor, self._corrected = 1.0, math.nan
         self._correct_until, self._there = -math.inf, math.inf
         self._rising_until = -math.inf
@@ -256,8 +177,6 @@ class Squeeze:
         self.held.pop(i, None)
         self.effort.pop(i, None)
         self.pressing -= {i}
-        if self.deeper is not None and self.deeper.index == i:
-            self.deeper = None
 
     @property
     def building(self) -> bool:
@@ -360,12 +279,6 @@ class Squeeze:
             self._correct_until = stamp
         if not (felt >= _FELT * wanted and time > 0.0 and self.pressing):
             return False
-        deeper = self.deeper
-        if deeper is not None and (deeper.begun or not at_limit):
-            leads = deeper.step(stamp, time, measured.touch, felt / wanted)
-            if leads:
-                self._correct_until, self._rising_until = math.inf, deeper.until
-                self.slowly = {}
         factor = self._factor
         if felt > wanted:
             # Below its limit, an actuator would not respond until the limit was lowered to its

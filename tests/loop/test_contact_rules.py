@@ -177,12 +177,6 @@ def test_a_finger_at_its_end_may_oppose_what_it_does_not_feel() -> None:
     assert not rules.may_oppose(None, left=NAN, tolerance=0.002)
 
 
-def test_an_object_gives_way_where_a_finger_presses_less_than_it_has() -> None:
-    assert rules.gives_way(1.7, 2.0)
-    assert not rules.gives_way(1.9, 2.0)  # noise
-    assert not rules.gives_way(NAN, 2.0)
-
-
 def test_what_stops_a_finger_before_the_empty_hand_meets_itself_is_an_object() -> None:
     assert rules.came_as_far(0.80, 0.80, 0.05)
     assert rules.came_as_far(0.76, 0.80, 0.05)

@@ -55,9 +55,6 @@ class Gripper:
         amperes: Current for every unit of effort, which is not measured then [A/(N·m)].
         impact: What the sensors read more for 20 ticks from the contact on [N].
         learned: What is known of its free motion.
-        stiffness: Of its motor against what stops it [N·m/rad].
-        slides: Whether the object slides out of one finger once the other's reference has led
-            beyond the end of the action.
     """
 
     def __init__(
@@ -69,10 +66,7 @@ class Gripper:
         amperes: float = NAN,
         impact: float = 0.0,
         learned: Mapping[str, LearnedMotion] | None = None,
-        stiffness: float = STIFFNESS,
-        slides: bool = False,
     ) -> None:
-        self.stiffness, self.slides = stiffness, slides
         self.hand, config = load_configured(FOLDER)
         self.library = ActionLibrary.load(self.hand, FOLDER / "actions")
         self.settings = structs.replace(
@@ -85,7 +79,6 @@ class Gripper:
         self.grip = self.plan(Goal(Named("Grasp"), Opening(width))).grip
         assert self.grip is not None
         self.contact = math.inf
-        (self.end,) = self.grip.position_at(self.grip.intensity[-1]).values()
         if width:
             self.contact = self.grip.position_at(self.grip.intensity_at(width))[0]
         self.time = self.position = self.effort = self.force = 0.0
@@ -121,7 +114,7 @@ class Gripper:
         if self.limit >= self.friction:
             there = self.reference - math.copysign(self.stops_short, self.reference - self.position)
             self.position = min(there, self.contact)
-        push = self.stiffness * (self.reference - self.position)
+        push = STIFFNESS * (self.reference - self.position)
         self.effort = max(-self.limit, min(push, self.limit))
         touch: list[float] = []
         self.force = 0.0
@@ -133,7 +126,6 @@ class Gripper:
         if self.reads == self.reads:
             hit = self.impact if 0 < self.since_contact <= 20 else 0.0
             touch = [self.reads * self.force + hit] * 2
-            touch[1] *= 0.5 if self.slides and self.reference > self.end + 1e-3 else 1.0
         measured = Measured([self.position], [self.effort], [NAN], [True], [-1], touch=touch)
         if self.amperes == self.amperes:
             free = 0.3 * (self.controller.reference_velocity[0] > 0.0)
@@ -195,46 +187,6 @@ def test_a_force_that_leaves_the_requested_one_is_brought_back(reads: float, sha
         gripper.tick()
     felt = reads * gripper.force / 40.0
     assert min(share, 1.0) - 0.01 <= felt <= max(share, 1.0) + 0.01
-
-
-def thin(force: float, slides: bool) -> Gripper:
-    """Return a gripper whose servo presses with 9/10 of a force where its action ends."""
-    probe = Gripper(0.005)
-    (_, _, lever), *_ = probe.grip.squeezing(probe.grip.intensity[-1] / 2.0)
-    stiffness = 0.9 * force * lever / (probe.end - probe.contact)
-    return Gripper(0.005, reads=1.0, stiffness=stiffness, slides=slides)
-
-
-def test_a_servo_that_yields_presses_beyond_the_end_of_its_action() -> None:
-    gripper = thin(20.0, slides=False)
-    result = gripper.do(grasp(0.005, 20.0))
-    assert result.grasped
-    assert result.force == pytest.approx(20.0, rel=0.03)
-    assert gripper.reference > gripper.end
-    for _ in range(1000):
-        gripper.tick()
-        assert gripper.force <= 1.05 * 20.0
-    assert gripper.force == pytest.approx(20.0, rel=0.03)
-
-
-def test_another_force_on_what_is_pressed_beyond_the_end_does_not_let_go_of_it() -> None:
-    gripper = thin(20.0, slides=False)
-    gripper.do(grasp(0.005, 20.0))
-    before = gripper.force
-    gripper.accept(grasp(0.005, 20.5))
-    while not gripper.results:
-        gripper.tick()
-        assert gripper.force >= 0.95 * before
-    assert gripper.results.pop().grasped
-
-
-def test_what_slides_out_of_a_finger_that_presses_deeper_is_not_pressed_further() -> None:
-    gripper = thin(20.0, slides=True)
-    gripper.do(grasp(0.005, 20.0))
-    for _ in range(1000):
-        gripper.tick()
-    upper = gripper.hand.actuators[0].upper
-    assert gripper.end < gripper.reference < 0.5 * (gripper.end + upper)
 
 
 def test_a_force_is_not_lowered_where_more_may_be_the_pull_of_a_slipping_object() -> None:
@@ -604,7 +556,7 @@ class Sticking(Gripper):
         if abs(lag) > 3.0 * self.COUNT:
             self.position = round(there / self.COUNT) * self.COUNT
         pressed = self.position >= self.contact - self.COUNT
-        push = self.stiffness * (self.reference - self.contact) if pressed else 0.0
+        push = STIFFNESS * (self.reference - self.contact) if pressed else 0.0
         self.effort = min(max(push, 0.05 if lag > self.COUNT else 0.0), self.limit)
         measured = Measured([self.position], [self.effort], [NAN], [True], [-1])
         self.take(measured)
