@@ -111,7 +111,7 @@ helped, at 0.6 and less never."""
 
 _BALANCES: Final = (0.3, 0.6)
 """Shares of the fingers' pressing that must balance on the object: below the first, the table bears
-the most, and the object is pushed away once it is lifted; above the second, it stays."""
+most of it, and the object is pushed away once it is lifted; above the second, it stays."""
 
 _SINKS: Final = (2.5e-3, 5e-3)
 """Distances by which a force of the size of its weight moves an object in the hand [m]: up to the

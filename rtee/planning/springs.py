@@ -8,7 +8,8 @@ balance. Afterwards the object moves with the fingers until the forces balance, 
 - *Pressing* is the energy that the springs give to the contacts. By the principle of least
   complementary energy, forces ``f`` within the cones of friction minimise ``f C f / 2 - f d``, with
   the compliance ``C`` of the fingers at the contacts and the way ``d`` of their references there.
-  The same with the condition that forces and torques add up to zero says what balances.
+  Solved again under the condition that forces and torques add up to zero, this gives what
+  balances.
 - The stiffness with which the springs hold the object is that of Nguyen (1989), with soft contacts
   in series, less the effect of the forces themselves: two tips that press on an object tilt it,
   once their force is larger than their stiffness across times half of its width (Cutkosky and Kao,

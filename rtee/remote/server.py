@@ -93,7 +93,8 @@ _MOST_CLOSED = 1000
 """Inboxes that may be closed at a time: more than there are clients."""
 
 _ROUTER_WITHIN = 1.0
-"""Time for a router to answer before the hand starts without it [s]: over a VPN up to 1 s."""
+"""Time for a router that accepts connections to answer, before the hand starts without it [s]: over
+a VPN up to 1 s."""
 
 _GONE_WITHIN = 3 * LEASE / 1000
 """Time until a hand of the same name must be gone [s]: a killed one counts as dead after the lease,
@@ -242,13 +243,16 @@ def _check_name(hand: str, endpoints: Sequence[str], certificates: Mapping[str, 
             continue
         until = monotonic.now() + _GONE_WITHIN
         try:
-            while any(each.ok for each in session.liveliness().get(alive, timeout=_ROUTER_WITHIN)):
-                if monotonic.now() > until:
-                    raise ConfigError(
-                        f"a hand '{hand}' is already running at {endpoint}; give this one another "
-                        "name: that of its folder, and name: in its hand.yaml"
-                    )
-                monotonic.sleep(_POLL)
+            with contextlib.suppress(zenoh.ZError):  # if the router ends meanwhile
+                while any(
+                    each.ok for each in session.liveliness().get(alive, timeout=_ROUTER_WITHIN)
+                ):
+                    if monotonic.now() > until:
+                        raise ConfigError(
+                            f"a hand '{hand}' is already running at {endpoint}; give this one "
+                            "another name: that of its folder, and name: in its hand.yaml"
+                        )
+                    monotonic.sleep(_POLL)
         finally:
             close_session(session)
 
