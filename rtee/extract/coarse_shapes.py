@@ -35,6 +35,10 @@ _THICK: Final = 6.0
 """Largest distance of such a prism below its cylinder, in units of the slack; thicker cylinders get
 more sides."""
 
+_MOST_SIDES: Final = 240
+"""Maximum number of sides: with more, a corner of the prism's cap would have more neighbours than
+Coal can count (255). Cylinders of up to 1.1 m radius need fewer."""
+
 _TURN: Final = 0.37
 """Rotation of that prism about its axis, as a share of a side: not a simple fraction, so that its
 faces are parallel to few others."""
@@ -88,6 +92,8 @@ def _prism(radius: float, half: float) -> CoarseShape:
     if radius * flat > _THICK * SLACK:
         flat = SLACK / radius
         sides = math.ceil(math.pi / math.acos(1.0 - flat))
+        if sides > _MOST_SIDES:
+            sides, flat = _MOST_SIDES, 1.0 - math.cos(math.pi / _MOST_SIDES)
     turns = [2.0 * math.pi * (k + _TURN) / sides for k in range(sides)]
     # Rounded to a nanometre, so that all mathematical libraries give the same corners.
     ring = [(round(radius * math.cos(a), 9), round(radius * math.sin(a), 9)) for a in turns]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
 from itertools import combinations, product
 from pathlib import Path
@@ -103,6 +105,10 @@ Sides = tuple[Sequence[int], Sequence[int]]
 
 _THICKNESS: Final = 1e-5
 """Half the thickness given to a flat mesh [m]: far below the accuracy of models."""
+
+_OUTERMOST: Final = (2000, 1000, 500, 250)
+"""Numbers of directions in which the outermost vertices make a hull, the first that Coal takes: a
+vertex may have 255 neighbours, which 250 vertices cannot exceed."""
 
 
 def _settle_boxes() -> None:
@@ -411,22 +417,53 @@ def _exact(source: UrdfGeometry, meshes: _Meshes) -> coal.CollisionGeometry:
 
 
 def hull_of(points: FloatArray) -> coal.ConvexBase:
-    """Return the convex hull of points ``(k, 3)`` [m]; flat sets are thickened by 10 µm first."""
-    if not _is_flat(points):
-        # "Qt" makes Qhull split the faces into triangles, which Coal keeps (True).
-        return coal.Convex.convexHull(_vector(points), True, "Qt")
-    # Each point becomes a tiny cube, whose hull is never flat.
-    corners = np.array(np.meshgrid(*[(-_THICKNESS, _THICKNESS)] * 3)).T.reshape(-1, 1, 3)
-    return coal.Convex.convexHull(_vector((corners + points).reshape(-1, 3)), True, "Qt")
+    """Return the convex hull of points ``(k, 3)`` [m]; flat sets are thickened by 10 µm first.
+
+    Coal cannot take the exact hull of a round body with too many corners. The outermost of its
+    vertices make one that lies inside it, by up to 30 µm in discs, cones and bars with round ends
+    of 60 mm diameter.
+    """
+    if _is_flat(points):
+        # Each point becomes a tiny cube, whose hull is never flat.
+        corners = np.array(np.meshgrid(*[(-_THICKNESS, _THICKNESS)] * 3)).T.reshape(-1, 1, 3)
+        points = (corners + points).reshape(-1, 3)
+    for count in _OUTERMOST:
+        try:
+            return _exact_hull(points)
+        except RuntimeError as error:
+            # A vertex of a fan or of a cone's tip has more neighbours than Coal can count (255).
+            if "Too many neighbors" not in str(error):
+                raise
+        points = _outermost(points, count)
+    return _exact_hull(points)
+
+
+def _exact_hull(points: FloatArray) -> coal.ConvexBase:
+    # "Qt" makes Qhull split the faces into triangles, which Coal keeps (True).
+    return coal.Convex.convexHull(_vector(points), True, "Qt")
+
+
+def _outermost(points: FloatArray, count: int) -> FloatArray:
+    """Return the points that lie farthest out in evenly spread directions ``(<= count, 3)``."""
+    x, y, z = points.T
+    kept = set[int]()
+    for height, turn in (2.0 * halton(2, count) - 1.0).tolist():
+        flat, angle = math.sqrt(1.0 - height**2), math.pi * turn
+        # Rounded, so that all mathematical libraries give the same directions.
+        a, b, c = (round(t, 9) for t in (flat * math.cos(angle), flat * math.sin(angle), height))
+        kept.add(int(np.argmax(x * a + y * b + z * c)))
+    return points[sorted(kept)]
 
 
 def _hull(mesh: coal.BVHModelBase) -> coal.ConvexBase:
+    if mesh.convex is not None:  # shapes of the same mesh share it
+        return mesh.convex
     vertices = mesh.vertices()
-    if _is_flat(vertices):
-        return hull_of(vertices)
-    if mesh.convex is None:  # shapes of the same mesh share it
-        mesh.buildConvexHull(True, "Qt")
-    return mesh.convex
+    if not _is_flat(vertices):
+        with suppress(RuntimeError):  # see `hull_of`
+            mesh.buildConvexHull(True, "Qt")
+            return mesh.convex
+    return hull_of(vertices)
 
 
 def _is_flat(points: FloatArray) -> bool:

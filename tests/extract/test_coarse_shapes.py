@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import coal
@@ -24,6 +25,17 @@ from rtee.hand.model import Hand
 def leap(shared: Path) -> Hand:
     folder = shared / "more_hands" / "leap_right"
     return load_model(folder / "leap_right.urdf", folder / "leap_right.srdf")
+
+
+def test_a_prism_has_no_more_sides_than_coal_takes(tmp_path: Path) -> None:
+    disc = '<geometry><cylinder radius="5" length="0.05"/></geometry>'
+    model = Model().link("disc", disc).link("tip", box((0.01, 0.01, 0.01)))
+    model.joint("turn", "base", "disc").joint("bend", "disc", "tip").finger("finger", "tip")
+    shape = HandGeometry(model.load(tmp_path)).shapes[0]
+    coarse = coarse_shape(shape)
+    assert isinstance(coarse.shape, coal.ConvexBase)
+    inner = 5.0 * math.cos(math.pi / (coarse.shape.num_points // 2))
+    assert 5.0 - inner == pytest.approx(coarse.slack, rel=1e-3)
 
 
 @pytest.mark.parametrize("name", ["dagana", "heri_II", "robotiq_3f", "schunk"])

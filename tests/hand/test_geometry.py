@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import struct
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from extract.models import Model, box, mesh, sphere
 
 from rtee.errors import ModelError
-from rtee.hand.geometry import HandGeometry
+from rtee.hand.geometry import HandGeometry, hull_of
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import binary_stl
 
@@ -58,6 +59,33 @@ def test_a_flat_mesh_gets_a_convex_part(tmp_path: Path) -> None:
     shape = HandGeometry(hand_with(tmp_path, mesh(path))).shapes[0]
     extent = np.ptp(np.array(shape.convex.points()), axis=0)
     np.testing.assert_allclose(extent, [0.1, 0.1, 0.0], atol=3e-5)
+
+
+@pytest.mark.parametrize("corners", [256, 300, 2000])
+@pytest.mark.parametrize("tip", [0.0, 0.05])
+def test_a_round_body_of_many_corners_gets_a_hull(corners: int, tip: float, tmp_path: Path) -> None:
+    # Coal counts no more than 255 neighbours: of a corner of a disc's face, or of a cone's tip.
+    turns = 2.0 * math.pi * np.arange(corners) / corners
+    ring = np.column_stack([0.03 * np.cos(turns), 0.03 * np.sin(turns), np.zeros(corners)])
+    far = np.array([[0.0, 0.0, tip]]) if tip else ring + np.array([0.0, 0.0, 0.02])
+    points = np.vstack([ring, far])
+    vector = coal.StdVec_Vec3s()
+    vector.extend(points)
+    with pytest.raises(RuntimeError, match="Too many neighbors"):
+        coal.Convex.convexHull(vector, True, "Qt")
+    hull = hull_of(points)
+    kept, normals = np.array(hull.points()), np.array(hull.normals())
+    beyond = (points @ normals.T).max(axis=0) - (kept @ normals.T).max(axis=0)
+    assert beyond.max() < 2e-5
+    # The same from a file, twice in one link.
+    across = [(0, k, k + 1) for k in range(1, corners - 1)]
+    sides = [(k, (k + 1) % corners, corners + (0 if tip else k)) for k in range(corners)]
+    path = write_stl(tmp_path / "round.stl", points[[*across, *sides]])
+    for shape in HandGeometry(hand_with(tmp_path, mesh(path), mesh(path))).shapes:
+        beyond = (points @ normals.T).max(axis=0) - (
+            np.array(shape.convex.points()) @ normals.T
+        ).max(axis=0)
+        assert np.abs(beyond).max() < 2e-5
 
 
 def test_a_mesh_is_scaled_and_mirrored(tmp_path: Path) -> None:
