@@ -18,6 +18,7 @@ from rtee.hand.config_schema import Ros2Settings
 from rtee.ros2 import Context, attachments, endpoints, inbox, participant
 from rtee.ros2.endpoints import LONGEST
 from rtee.ros2.inbox import Inbox, Limit, SharedLimit, WarningLog
+from rtee.ros2.message import Message
 
 from .test_ros2_nodes import STRING, TRIGGER, until
 
@@ -122,6 +123,17 @@ async def test_requests_that_make_no_sense_are_dropped(
     assert len([text for text in warnings(caplog) if "/stop is dropped" in text]) == 1
 
 
+def ask(session: zenoh.Session, key: str, number: int, request: Message, ended: list[int]) -> None:
+    """Send a numbered request, which is added to those that ended once its answers have."""
+    session.get(
+        key,
+        zenoh.handlers.Callback(lambda reply: None, lambda: ended.append(number), indirect=False),
+        payload=request.encode(),
+        attachment=numbered(number),
+        timeout=30,
+    )
+
+
 async def test_too_many_requests_are_dropped_and_told_once(
     settings: Ros2Settings, peer: Peer, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -139,20 +151,12 @@ async def test_too_many_requests_are_dropped_and_told_once(
 
         context.node("hand").service("/slow", trigger, slow, at_once=3)
         key = f"0/slow/std_srvs::srv::dds_::Trigger_/{trigger.hash}"
-        other, ended = peer(), []
+        other, ended = peer(), list[int]()
         with other.declare_querier(key) as querier:
             await until(lambda: querier.matching_status.matching)
         asked = 1000
         for number in range(asked):
-            other.get(
-                key,
-                zenoh.handlers.Callback(
-                    lambda reply: None, lambda: ended.append(1), indirect=False
-                ),
-                payload=trigger.request().encode(),
-                attachment=numbered(number),
-                timeout=30,
-            )
+            ask(other, key, number, trigger.request(), ended)
         await until(lambda: len(ended) == asked)  # dropped ones end at once: nothing is kept
         assert max(most) <= 3
         assert context.warning_log.count["requests of /slow are dropped"] >= asked - len(most) - 1
@@ -181,19 +185,8 @@ async def test_a_client_of_many_requests_delays_no_other(
             await until(lambda: querier.matching_status.matching)
         ended: list[int] = []
 
-        def ask(number: int) -> None:
-            greedy.get(
-                key,
-                zenoh.handlers.Callback(
-                    lambda reply: None, lambda: ended.append(number), indirect=False
-                ),
-                payload=set_bool.request(data=True).encode(),
-                attachment=numbered(number),
-                timeout=30,
-            )
-
         for number in range(endpoints._MOST_WAITING + 2):
-            ask(number)
+            ask(greedy, key, number, set_bool.request(data=True), ended)
             # Step by step, since the queue of Zenoh's threads is as short as that of the service.
             await until(lambda: len(service._under_way) + len(service._waiting) == number + 1)  # noqa: B023
         # Two of four places, and all of the queue; the other client finds a place all the same,
@@ -229,15 +222,7 @@ async def test_a_flood_of_one_client_leaves_requests_to_others(
         ended: list[int] = []
         asked = 3 * endpoints._MOST_A_SECOND
         for number in range(asked):
-            greedy.get(
-                key,
-                zenoh.handlers.Callback(
-                    lambda reply: None, lambda: ended.append(1), indirect=False
-                ),
-                payload=trigger.request().encode(),
-                attachment=numbered(number),
-                timeout=30,
-            )
+            ask(greedy, key, number, trigger.request(), ended)
         await until(lambda: len(ended) == asked)
         assert len(calls) <= endpoints._MOST_A_SECOND / 2
         assert (await client.call(client.type.request(), 20)).success
