@@ -44,6 +44,10 @@ _AGREEING = 2.5
 between measurements: two more measurements agree, even if they are late."""
 
 
+_BESIDE = 0.05
+"""A leap that ends further than this beside the way to the reference, as a share of the range,
+leads astray: overshoot and play are less. It may be a glitch of the encoder."""
+
 _OLD = 0.05
 """Age above which no reference may start from a measurement [s], except for devices that are
 measured less often: at 2 rad/s, an actuator moves 0.1 rad in this time."""
@@ -96,7 +100,9 @@ class Plausibility:
         self._left = list(self._most)
         self._changed = [-math.inf] * n
         self._leap = [_LEAP * span if math.isfinite(span) else _LEAP for span in spans]
+        self._beside = [_BESIDE * span if math.isfinite(span) else _BESIDE for span in spans]
         self._leaping_until = [-math.inf] * n
+        self._astray_until = [-math.inf] * n
         self._seen = [-math.inf] * n
         self._all_seen = -math.inf
         self._doubted: dict[int, _Doubt] = {}
@@ -109,7 +115,7 @@ class Plausibility:
         """Forget the positions of some actuators, which people may have moved meanwhile."""
         for i in indices:
             self._last[i] = math.nan
-            self._leaping_until[i] = -math.inf
+            self._leaping_until[i] = self._astray_until[i] = -math.inf
             self._doubted.pop(i, None)
 
     def doubted(self, indices: Iterable[int]) -> bool:
@@ -135,8 +141,9 @@ class Plausibility:
     ) -> float | None:
         """Return the measured position of an actuator if a reference may start from it.
 
-        ``None``: it was never measured, or the measurement is invalid, old or implausible, or the
-        encoder looks frozen. Then the reference must brake where it is.
+        ``None``: it was never measured, or the measurement is invalid, old or implausible, has just
+        leaped beside the way to the reference, or the encoder looks frozen. Then the reference must
+        brake where it is.
 
         Args:
             i: The actuator.
@@ -148,6 +155,8 @@ class Plausibility:
         here = self._last[i]
         # True for NaN, too.
         if not self._lowest[i] <= here <= self._highest[i] or i in self._doubted:
+            return None
+        if stamp < self._astray_until[i]:
             return None
         limit = max(_OLD, _OLD_INTERVALS * max(self._usual[i], self._all_usual))
         if stamp - max(self._seen[i], self._all_seen) > limit:
@@ -187,7 +196,7 @@ class Plausibility:
         if position != last:  # the only test needed for a hand at rest
             for i, here in enumerate(position):
                 if here != last[i]:
-                    self._moved(i, here, stamp, active[i])
+                    self._moved(i, here, stamp, active[i], reference[i])
                     last[i] = here
                     self._reference[i] = reference[i]
         if all(fresh):
@@ -203,7 +212,7 @@ class Plausibility:
         if self._doubted:
             self._believe(stamp, active)
 
-    def _moved(self, i: int, here: float, stamp: float, active: bool) -> None:
+    def _moved(self, i: int, here: float, stamp: float, active: bool, wanted: float) -> None:
         # Called for each actuator at each tick of a motion, so min() and max() are written out.
         travel, most = abs(here - self._last[i]), self._most[i]
         if travel != travel or not active:  # the first measurement, or an undriven actuator
@@ -230,6 +239,10 @@ class Plausibility:
                 # After a silence, as of an unplugged cable, measurements are as frequent as before.
                 interval = min(stamp - before, _LONGEST_INTERVAL)
                 self._leaping_until[i] = stamp + _AGREEING * max(interval, repeated)
+                low, high = sorted((self._last[i], wanted))
+                beside = self._beside[i]
+                if not low - beside <= here <= high + beside:
+                    self._astray_until[i] = self._leaping_until[i]
             rest = left + rate * (stamp - before) - travel
             self._left[i] = most if rest > most else rest if rest > 0.0 else 0.0
             if rest < 0.0:

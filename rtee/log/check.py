@@ -108,8 +108,8 @@ class ReplayCheck:
         if self.rules != contact_rules.VERSION:
             reasons.append(
                 f"recorded with version {self.rules} of the rules of contact, computed with "
-                f"version {contact_rules.VERSION}: after a contact, or a stream that ended near a "
-                "limit, references may differ on purpose"
+                f"version {contact_rules.VERSION}: after a contact, a stop at which a measurement "
+                "leaped, or a stream that ended near a limit, references may differ on purpose"
             )
         if self.differing:
             reasons.append(f"it {differs(self.differing)}")

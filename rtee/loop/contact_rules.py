@@ -12,7 +12,7 @@ from typing import Final
 
 from rtee.loop.free_motion import FREELY
 
-VERSION: Final = 16
+VERSION: Final = 17
 """Version of these rules, written into recordings: `rtee log replay --check` says when a recording
 was made with other rules."""
 
