@@ -246,9 +246,9 @@ class Devices:
     # --- requests to all devices -------------------------------------------------------------
 
     def mute(self, muted: bool) -> None:
-        """Suspend (``True``) or resume (``False``) the sending of references to all devices."""
+        """Suspend (``True``) the sending of references to all devices, or undo that (``False``)."""
         for device in self._all:
-            device.muted = muted
+            device.muted += 1 if muted else -1
 
     async def confirm(
         self, reason: str, request: Callable[[Supervisor, float], Awaitable[bool]]

@@ -17,7 +17,17 @@ import anyio.abc
 import numpy as np
 
 from rtee import monotonic
-from rtee.commands import Cancel, Command, CommandRecord, Freeze, Hold, Jog, SetGripEffort
+from rtee.commands import (
+    Abort,
+    Cancel,
+    Command,
+    CommandRecord,
+    Freeze,
+    Hold,
+    Jog,
+    SetActive,
+    SetGripEffort,
+)
 from rtee.drivers.base import Driver
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
 from rtee.hand.config_schema import Behaviour
@@ -58,8 +68,15 @@ GRIP_EFFORT = "grip_effort"
 """The hand's own gain: effort kept on a held object, as a fraction of the effort limit."""
 
 _LONG_PAUSE = 1.0
-"""A loop that did not run for so long says so [s]: longer than a busy computer delays it, and long
-enough for devices with a watchdog to have stopped."""
+"""A loop that did not run for so long reports it and ends its goals [s]: longer than a busy
+computer delays it, and long enough for people to have moved a device that went limp."""
+
+_MOVED = 0.01
+"""An actuator has moved during a pause if it is measured elsewhere by this share of its range:
+noise, play and a soft object move it less."""
+
+_READ_AGAIN = 0.02
+"""Time after which a device that did not answer is asked again [s]: some exchanges."""
 
 _ROUNDED = 1e-4
 """A position at most this far beyond a limit is a rounding error of the client [rad | m]."""
@@ -189,6 +206,8 @@ class HandLoop:
             self._pending.append,
             self._on_lost,
         )
+        if tick.missed >= self._long_pause:
+            self._resume(tick.missed)
         # Start goals and apply commands, in the order of their arrival.
         while self._pending:
             self._begin(self._pending.popleft(), tick.number, stamp)
@@ -203,8 +222,6 @@ class HandLoop:
         # Move: send the reference. A device that answers at once is also read again here.
         sent = position, velocity, effort
         devices.move(tick.number, sent, controller.max_velocity, controller.starts.unplaced)
-        if tick.missed >= self._long_pause:
-            self._report_pause(tick.missed, stamp)
         # The record comes last: nothing that the devices wait for depends on it.
         self._record = TickRecord(
             *measured_arrays(state.sample),
@@ -284,13 +301,58 @@ class HandLoop:
                 if hot.intersection(device.indices):
                     self._start(device.disable, CONFIRM_WITHIN)
 
-    def _report_pause(self, missed: int, stamp: float) -> None:
-        seconds = missed / self.settings.rate
+    def _resume(self, missed: int) -> None:
+        """End goals and streams after a long pause; send nothing before devices are read again."""
+        reason = f"the loop did not run for {missed / self.settings.rate:.1f} s"
         text = (
-            f"{self.name}: the loop did not run for {seconds:.1f} s, so its devices got no "
-            "references: its process was stopped, or the computer too busy"
+            f"{self.name}: {reason}, so its devices got no references: its process was stopped, or "
+            "the computer too busy"
         )
-        self._observers.event(Event("loop_paused", self.name, text, stamp, "warning"))
+        self._observers.event(Event("loop_paused", self.name, text, self._now(), "warning"))
+        # After waiting goals: somebody may have asked for them long ago.
+        self._pending += (Abort(reason), Hold(reason))
+        before = list(self.controller.measured.position)
+        for device in self.devices.values():
+            device.muted += 1
+            self._start(self._restart_moved, device, before, reason)
+
+    async def _restart_moved(
+        self, device: Supervisor, before: Sequence[float], reason: str
+    ) -> None:
+        """Read a device again, then start the references of what has moved where it is measured.
+
+        What has not moved keeps its reference, and thereby its grip on an object.
+
+        Args:
+            device: The device, which gets no references until then.
+            before: Positions measured before [rad | m].
+            reason: Why, for goals that began meanwhile.
+        """
+        try:
+            while device.active and not await device.read(CONFIRM_WITHIN):  # noqa: ASYNC110 - no event
+                await anyio.sleep(_READ_AGAIN)
+            if moved := self._moved(device, before):
+                # As after activation: whoever moved it may have moved it anywhere.
+                self._pending += (
+                    Abort(reason, tuple(moved)),
+                    SetActive(dict.fromkeys(moved, False)),
+                    SetActive(dict.fromkeys(moved, True)),
+                )
+        finally:
+            device.muted -= 1
+
+    def _moved(self, device: Supervisor, before: Sequence[float]) -> list[str]:
+        """Return the actuators of a device that are no longer where they were measured before."""
+        state, moved = device.connection.state, list[str]()
+        if state is None or not device.active:
+            return moved
+        for i, here in zip(device.indices, state.position.tolist(), strict=True):
+            spec = self.hand.actuators[i]
+            span = spec.upper - spec.lower
+            # An actuator without limits has no range; 1 rad is a typical one.
+            if abs(here - before[i]) > _MOVED * (span if math.isfinite(span) else 1.0):
+                moved.append(spec.name)
+        return moved
 
     def _disable_when_idle(self, stamp: float, within: float) -> None:
         """Disable the hand once it has been idle for ``within`` seconds."""

@@ -110,6 +110,11 @@ class Runner:
 
     # --- deadlines ---------------------------------------------------------------------------
 
+    @property
+    def late(self) -> bool:
+        """Whether the deadline of the present work has passed, before or after `check` saw it."""
+        return self._until < math.inf and self._now() >= self._until
+
     @asynccontextmanager
     async def guard(self) -> AsyncIterator[None]:
         """Enforce the deadlines on the task's code: raises `TimeoutError` when one has passed."""

@@ -172,6 +172,9 @@ class DeviceConnection:
         try:
             # Sense first: the controller's next input must not wait for sending.
             self.accept(await self._driver.sense())
+            # After a pause of this process, the reference is older than any hand may follow.
+            if self._runner.late:
+                raise TimeoutError("no answer within the deadline")
             # A request may have made the device inactive since the reference was handed over.
             if reference is not None and self.lifecycle is Lifecycle.ACTIVE:
                 await self._driver.move(reference)
@@ -437,7 +440,7 @@ class Supervisor:
         actuators: Names of its actuators.
         indices: The hand's indices of its actuators.
         connection: The link to it, with its state.
-        muted: Whether only the state is read, and no references are sent.
+        muted: How many requests want only the state to be read, and no references to be sent.
     """
 
     def __init__(
@@ -454,7 +457,7 @@ class Supervisor:
         self.name = settings.spec.name
         self.actuators = tuple(actuator.name for actuator in settings.spec.actuators)
         self.indices = indices
-        self.muted = False
+        self.muted = 0
         self._on_event = on_event
         self._now = now
         self._runner = Runner(now)
@@ -623,6 +626,10 @@ class Supervisor:
         """Send a last reference. Returns the same as `stop`."""
         return await self._confirmed("hold", lambda: self._send_last(reference), within)
 
+    async def read(self, within: float) -> bool:
+        """Read the device's state anew within a time [s]; return whether it answered."""
+        return await self._confirmed("read", self._read, within)
+
     async def recover(self) -> None:
         """Bring the device out of a fault, or connect and activate it, without moving it.
 
@@ -652,6 +659,9 @@ class Supervisor:
     async def _disable(self) -> None:
         await patiently(self.guarded.disable)
         self.connection.deactivated("it was disabled")
+        self.connection.accept(await patiently(self.guarded.sense))
+
+    async def _read(self) -> None:
         self.connection.accept(await patiently(self.guarded.sense))
 
     async def _send_last(self, reference: Reference) -> bool:

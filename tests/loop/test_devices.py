@@ -418,6 +418,27 @@ async def test_a_hanging_exchange_is_given_up_at_its_deadline(hand: Hand) -> Non
         assert rig.loop.snapshot().fresh.all()
 
 
+async def test_an_answer_after_a_pause_brings_no_reference_from_before(hand: Hand) -> None:
+    """A process that was stopped in an exchange wakes up for the answer first, then for a tick."""
+    settings, driver = trouble(hand)
+    async with running(hand, None, [(settings, driver)]) as rig:
+        rig.loop.submit(Goal(Named("fist")))
+        await rig.run(0.2)
+        driver.hang = 3 * rig.clock.turns
+        rig.loop.tick(rig.clock.next())  # the exchange begins
+        late = rig.clock.next(missed=10_000)
+        sent, errors = driver.log.count("move"), status(rig).errors
+        for _ in range(4):
+            await rig.clock.settle()
+        assert driver.log.count("move") == sent
+        assert status(rig).errors == errors + 1
+        driver.hang = 0
+        rig.loop.tick(late)
+        await rig.run(0.1)
+        assert driver.log.count("move") > sent, "it goes on"
+        assert status(rig).lifecycle is Lifecycle.ACTIVE
+
+
 async def test_a_hanging_connection_is_given_up(hand: Hand) -> None:
     class Hanging(Trouble):
         async def configure(self) -> None:

@@ -41,7 +41,7 @@ async def test_goal_is_reached(hand: Hand) -> None:
         assert rig.watcher.goals[0][0] == Goal(Named("Trig", ("index",)), goal_id=result.goal_id)
 
 
-async def test_a_loop_that_did_not_run_says_so_and_moves_on_without_a_jump(hand: Hand) -> None:
+async def test_a_loop_that_did_not_run_says_so_and_ends_its_goal_without_a_jump(hand: Hand) -> None:
     async with running(hand) as rig:
         rig.loop.submit(Goal(Named("Trig", ("index",))))
         await rig.run(0.1)
@@ -54,5 +54,39 @@ async def test_a_loop_that_did_not_run_says_so_and_moves_on_without_a_jump(hand:
         assert all(step <= limit for step, limit in zip(moved, limits, strict=True))
         [event] = [each for each in rig.watcher.events if each.kind == EventKind.LOOP_PAUSED]
         assert "did not run for 5.0 s" in event.text
+        [result] = rig.watcher.results
+        assert (result.aborted, result.reason) == (True, "the loop did not run for 5.0 s")
         rig.loop.tick(rig.clock.next(missed=round(0.9 * rig.clock.rate)))
         assert rig.watcher.kinds().count(EventKind.LOOP_PAUSED) == 1
+
+
+@pytest.mark.parametrize("where", ["lower", "upper"])
+async def test_a_hand_moved_while_the_loop_did_not_run_gets_no_reference_from_before(
+    hand: Hand, where: str
+) -> None:
+    """Devices may have gone limp meanwhile, and people have moved them."""
+    async with running(hand) as rig:
+        rig.loop.submit(Goal(Named("fist")))
+        await rig.run(0.3)
+        moved = [getattr(spec, where) for spec in hand.actuators]
+        for plant, position in zip(rig.driver.plants, moved, strict=True):
+            plant.position = plant.target = position
+        rig.loop.tick(rig.clock.next(missed=round(10.0 * rig.clock.rate)))
+        rig.loop.submit(Goal(Named("open")))  # asked for before the devices are read again
+        for _ in range(100):
+            await rig.run(1 / rig.clock.rate)
+            assert [plant.target for plant in rig.driver.plants] == pytest.approx(moved)
+        assert [result.aborted for result in rig.watcher.results] == [True, True]
+        rig.watcher.results.clear()
+        assert (await rig.do("open")).reached
+
+
+async def test_what_is_held_while_the_loop_did_not_run_stays_held(hand: Hand) -> None:
+    async with running(hand, objects={"index_base": 0.5}) as rig:
+        assert (await rig.do("Trig", "index")).grasped
+        await rig.run(1.0)
+        before = list(rig.loop.controller.reference_position)
+        rig.loop.tick(rig.clock.next(missed=round(10.0 * rig.clock.rate)))
+        await rig.run(0.5)
+        assert rig.loop.controller.reference_position == before
+        assert rig.loop.controller.reference_position[0] > 0.75 + 0.1, "it still presses"
