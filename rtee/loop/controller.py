@@ -148,13 +148,18 @@ class ReferenceStart:
         return [i for i in start if self._active[i]]
 
     def posture_to_keep(self) -> list[float]:
-        """Return the positions to leave the hand at [rad | m]; blocked fingers keep their grip."""
-        return [
-            position
-            if self._contact.blocked(i) or (measured := self.at(i, self._now)) is None
-            else measured
-            for i, position in enumerate(self._limiter.position)
-        ]
+        """Return the positions to leave the hand at [rad | m]; blocked fingers keep their grip.
+
+        ``NaN``: inactive, or `unplaced`, and therefore without a reference.
+        """
+        kept = list(self._limiter.position)
+        for i, position in enumerate(kept):
+            if not self._active[i] or i in self.unplaced:
+                kept[i] = math.nan
+            elif not self._contact.blocked(i):
+                measured = self.at(i, self._now)
+                kept[i] = position if measured is None else measured
+        return kept
 
 
 _THERMAL_EVERY = 0.1

@@ -485,7 +485,7 @@ class HandLoop:
         async def keep(device: Supervisor, within: float) -> bool:
             position = [posture[i] for i in device.indices]
             if not all(map(math.isfinite, position)):
-                return await device.stop(within)
+                return device.active and await device.stop(within)
             last = Reference.at(position, max_effort=[effort[i] for i in device.indices])
             return await device.hold(last, within)
 

@@ -157,9 +157,10 @@ async def test_a_glitch_that_looks_possible_becomes_no_reference(hand: Hand, pat
         assert (np.abs(got) <= 0.05 * RATE * top).all()
 
 
+@pytest.mark.parametrize("ends", [False, True], ids=["goes on", "ends"])
 @pytest.mark.parametrize("how", ["invalid", "one invalid", "far outside"])
 async def test_an_unmeasured_device_gets_no_reference_until_it_is_measured(
-    hand: Hand, how: str
+    hand: Hand, how: str, ends: bool
 ) -> None:
     one = device(hand, rate=RATE)
     driver = Wrong(one.spec, BusPool())
@@ -176,6 +177,10 @@ async def test_an_unmeasured_device_gets_no_reference_until_it_is_measured(
         await rig.run(0.3)
         assert next(iter(rig.loop.devices.values())).lifecycle is Lifecycle.ACTIVE
         assert driver.sent == []
+        if ends:
+            assert await bring_to_rest(rig.loop, Behaviour.HOLD, "a test") == [("dummy", True)]
+            assert driver.sent == []
+            return
         driver.how = ""
         await rig.run(1.5)  # half a second until what was far outside is believed again
         upper = [actuator.upper for actuator in hand.actuators]
