@@ -52,12 +52,19 @@ def _folder(hand: str) -> Path:
 
 @app.command()
 def init(hand: HandArgument, days: DaysOption = 825) -> None:
-    """Make a hand's authority and its certificate."""
+    """Make the authority and the certificate of a hand, or of the router of a site."""
+    from rtee.hand.catalog import hand_names
+
     folder = _folder(hand)
     _authority().make_authority(folder, hand, days)
     print(f"made the authority of {hand} and its certificate in {folder}")
-    print("Add to its hand.yaml, with an address of this computer:")
-    print("  remote:\n    listen: [tls/0.0.0.0:7447]")
+    if hand in hand_names():
+        print("Add to its hand.yaml, with an address of this computer:")
+        print("  remote:\n    listen: [tls/0.0.0.0:7447]")
+    else:
+        print(f"There is no hand '{hand}' here, so this is for the router of a site:")
+        print(f"  rtee router {hand} --listen tls/0.0.0.0:7447")
+        print(f"Make the certificates of each hand behind it: rtee secure add-hand {hand} HAND")
     print(f"Then make a certificate for each client: rtee secure add-client {hand} NAME")
 
 

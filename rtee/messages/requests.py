@@ -45,6 +45,9 @@ WATCHES = "00000000"
 ALIVE = "alive"
 """Last part of the key of a hand's liveliness token."""
 
+CLAIMS = "claims"
+"""Part of the keys of the liveliness tokens by which hands of one name find each other."""
+
 WATCH = "watch"
 """Part of the keys on which the hand publishes to the clients of one certificate."""
 

@@ -14,6 +14,7 @@ from rtee.messages import network_key
 from rtee.messages.requests import (
     ALIVE,
     ANSWERS,
+    CLAIMS,
     CLIENTS,
     HELLO,
     HERE,
@@ -177,7 +178,7 @@ def _announcements(hand: str) -> Iterable[dict[str, Any]]:
     yield _rule(
         "answer", "egress", ["reply", "declare_queryable"], hand, [f"{g}/*" for g in groups]
     )
-    yield _rule("alive", "egress", ["liveliness_token"], hand, [ALIVE])
+    yield _rule("alive", "egress", ["liveliness_token"], hand, [ALIVE, f"{CLAIMS}/*"])
 
 
 def _presence(hand: str) -> Iterable[dict[str, Any]]:

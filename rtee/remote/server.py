@@ -32,6 +32,7 @@ from rtee.messages.requests import (
     ALIVE,
     ANSWERS,
     ASK,
+    CLAIMS,
     CLIENTS,
     CONTROL,
     HELLO,
@@ -228,33 +229,61 @@ _LARGEST_REFUSED = 4096
 """Longest question of a refused query that waits [bytes]: frequent ones have a few hundred."""
 
 
-def _check_name(hand: str, endpoints: Sequence[str], certificates: Mapping[str, Any]) -> None:
-    """Raise `ConfigError` if another hand of this name is at a router; blocks for a moment.
+def _claim_name(
+    hand: str, session: zenoh.Session, endpoints: Sequence[str], certificates: Mapping[str, Any]
+) -> zenoh.LivelinessToken:
+    """Claim a hand's name at its routers; blocks for a moment.
 
-    Both would receive what clients send to either, and clients would get the answers of both. A
-    router that does not answer may come up later.
+    Two hands of a name would both receive what clients send to either, and clients would get the
+    answers of both. Of hands that start at the same moment, one stays. A router that does not
+    answer may come up later.
+
+    Returns:
+        The claim, which lasts until it is undeclared.
+
+    Raises:
+        ConfigError: if another hand of this name is at a router.
     """
-    alive = network_key(hand, ALIVE)
+    own = str(session.info.zid())
+    # Declared before the look: of two hands, the one that looks later sees the other's.
+    token = session.liveliness().declare_token(network_key(hand, f"{CLAIMS}/{own}"))
     for endpoint in endpoints:
         try:
             # A session of its own, since a router passes nothing on from one hand to another.
-            session = open_client([endpoint], _ROUTER_WITHIN, certificates)
+            look = open_client([endpoint], _ROUTER_WITHIN, certificates)
         except NoHand:
             continue
-        until = monotonic.now() + _GONE_WITHIN
         try:
             with contextlib.suppress(zenoh.ZError):  # if the router ends meanwhile
-                while any(
-                    each.ok for each in session.liveliness().get(alive, timeout=_ROUTER_WITHIN)
-                ):
-                    if monotonic.now() > until:
-                        raise ConfigError(
-                            f"a hand '{hand}' is already running at {endpoint}; give this one "
-                            "another name: that of its folder, and name: in its hand.yaml"
-                        )
-                    monotonic.sleep(_POLL)
+                _look_for_others(hand, own, endpoint, look)
         finally:
-            close_session(session)
+            close_session(look)
+    return token
+
+
+def _look_for_others(hand: str, own: str, endpoint: str, session: zenoh.Session) -> None:
+    """Wait until no other hand of a name is at a router; raise `ConfigError` if one stays."""
+
+    def found(key: str) -> set[str]:
+        tokens = session.liveliness().get(network_key(hand, key), timeout=_ROUTER_WITHIN)
+        return {str(each.ok.key_expr).rpartition("/")[2] for each in tokens if each.ok}
+
+    begun = monotonic.now()
+    while True:
+        # Running ones by both tokens, since hands of earlier versions have no claim.
+        claims, running = found(f"{CLAIMS}/*"), found(ALIVE)
+        others = claims - {own}
+        passed = monotonic.now() - begun
+        if not (others or running) and (own in claims or passed > _GONE_WITHIN):
+            return
+        # Of those that start now, the others give up first.
+        first = not running and own < min(others, default="")
+        if (others or running) and passed > (2 if first else 1) * _GONE_WITHIN:
+            raise ConfigError(
+                f"a hand '{hand}' is already running at {endpoint}; give this one "
+                "another name: that of its folder, and name: in its hand.yaml"
+            )
+        monotonic.sleep(_POLL)
 
 
 class Server:
@@ -321,7 +350,6 @@ class Server:
         async with contextlib.AsyncExitStack() as stack:
             place = place or stack.enter_context(claimed(hand.name))
             protection = await in_thread(Protection, hand.name, settings)
-            await in_thread(_check_name, hand.name, settings.connect, protection.link)
             socket = place.socket
             if not fits(socket):  # too long a path: use a new folder that only this user may read
                 folder = await in_thread(partial(TemporaryDirectory, prefix="rtee-"))
@@ -333,6 +361,10 @@ class Server:
                 open_server, socket, others, settings.connect, protection.settings
             )
             stack.push_async_callback(in_thread, partial(close_session, session))
+            # Before it receives anything. It lasts as long as the session.
+            _claim = await in_thread(
+                _claim_name, hand.name, session, settings.connect, protection.link
+            )
             connections = Connections(session, str(socket))
             stack.push_async_callback(in_thread, connections.close)
             publishers = TopicPublishers(session, hand.name, protection.people)

@@ -7,6 +7,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 
 import anyio
+import anyio.to_thread
 import pytest
 
 import rtee
@@ -18,6 +19,8 @@ from rtee.remote import credentials
 from rtee.remote.credentials import Credentials
 from rtee.remote.fleet import following
 from rtee.remote.router import route, router_settings
+from rtee.remote.server import _claim_name
+from rtee.remote.session import close_session, open_client
 
 from .serving import (
     LASTING,
@@ -107,6 +110,33 @@ async def test_a_second_hand_of_a_name_is_refused(
     # Nobody of this name is left.
     async with routing(endpoint, None), behind(endpoint, tmp_path, False, "left"):
         pass
+
+
+async def test_of_two_hands_of_a_name_that_start_at_once_one_stays() -> None:
+    endpoint, refused = free_endpoint(), list[str]()
+    sessions = []
+
+    def claim() -> None:
+        session = open_client([endpoint], 10.0)
+        sessions.append(session)
+        try:
+            claims.append(_claim_name("left", session, [endpoint], {}))
+        except ConfigError as error:
+            refused.append(error.message)
+            close_session(session)  # as the hand ends
+
+    async with routing(endpoint, None):
+        claims = list[object]()
+        try:
+            async with anyio.create_task_group() as group:
+                for _ in range(3):
+                    group.start_soon(anyio.to_thread.run_sync, claim)
+            assert len(claims) == 1
+            assert len(refused) == 2
+            assert all("'left' is already running" in each for each in refused)
+        finally:
+            for session in sessions:
+                close_session(session)
 
 
 async def test_two_hands_and_three_clients_with_certificates(

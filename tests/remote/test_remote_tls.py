@@ -382,6 +382,9 @@ def test_the_command_makes_lists_and_revokes(
     monkeypatch.setenv(credentials.FOLDER_VARIABLE, str(tmp_path / "secure"))
     monkeypatch.chdir(tmp_path)
     secure.init("small")
+    said = capsys.readouterr().out
+    assert "rtee secure add-hand small HAND" in said, "there is no such hand: it is a site"
+    assert "hand.yaml" not in said
     secure.add_client("small", "ann", role="observer")
     secure.add_client("small", "bob", role="maintainer", days=3)
     assert (tmp_path / "ann@small.pem").stat().st_mode & 0o777 == 0o600
@@ -431,7 +434,10 @@ def test_a_certificate_that_cannot_be_stored_is_not_admitted(
 
 
 def test_doctor_tells_what_expires(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, repository: Path
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    repository: Path,
 ) -> None:
     monkeypatch.setenv(credentials.FOLDER_VARIABLE, str(tmp_path / "secure"))
     folder = tmp_path / "robotiq_2f_85"
@@ -442,7 +448,9 @@ def test_doctor_tells_what_expires(
     (missing,) = secure.checks(str(folder))
     assert missing.verdict is Verdict.WRONG
     assert missing.remedy == "rtee secure init robotiq_2f_85"
+    capsys.readouterr()
     secure.init("robotiq_2f_85")
+    assert "Add to its hand.yaml" in capsys.readouterr().out
     secure.add_client("robotiq_2f_85", "ann", role="operator", days=3, out=tmp_path / "ann.pem")
     hand, ann = secure.checks(str(folder))
     assert hand.verdict is Verdict.OK
