@@ -62,6 +62,7 @@ class ReferenceStart:
     Attributes:
         unplaced: Actuators that have become active but not been validly measured since; they have
             no reference yet.
+        started: Actuators whose reference was started; emptied by its reader.
     """
 
     def __init__(
@@ -78,6 +79,7 @@ class ReferenceStart:
         self._contact, self._plausible = contact, plausible
         self._active, self._effort, self._pressing = active, effort, pressing
         self.unplaced: set[int] = set()
+        self.started: set[int] = set()
         self._frozen: dict[int, bool] = {}
         self._now = -math.inf
         nothing = [math.nan] * len(active)
@@ -101,6 +103,7 @@ class ReferenceStart:
     def set(self, positions: Mapping[int, float]) -> None:
         """Start references, at rest, from positions by actuator [rad | m]."""
         self._profile.seed(positions)
+        self.started.update(positions)
         for i, position in positions.items():
             self._limiter.seed(i, position)
             self._plausible.started(i, position)

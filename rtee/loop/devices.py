@@ -214,6 +214,7 @@ class Devices:
         sent: tuple[FloatArray, FloatArray, FloatArray],
         max_velocity: list[float],
         unplaced: AbstractSet[int] = frozenset(),
+        started: AbstractSet[int] = frozenset(),
     ) -> None:
         """Send every device that is due its part of a tick's reference, and read its state.
 
@@ -223,11 +224,15 @@ class Devices:
                 actuators ``(n,)``; never changed afterwards.
             max_velocity: Velocity limits of all actuators [rad/s | m/s].
             unplaced: Actuators without a reference, see `ReferenceStart`; their devices get none.
+            started: Actuators whose reference was started since the last tick.
         """
         if max_velocity != self._max_velocity:
             self._max_velocity = list(max_velocity)
             # Converted only when they change: with every goal, not with every tick.
             self._velocity_limits = readonly(max_velocity)
+        for device in self._all if started else ():
+            if places := [k for k, i in enumerate(device.indices) if i in started]:
+                device.connection.restart(places)
         for device in self._all:
             if device.due(tick):
                 moving = self._active[device.name] and not device.muted

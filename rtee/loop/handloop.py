@@ -221,7 +221,9 @@ class HandLoop:
         effort = np.array(controller.reference_effort)
         # Move: send the reference. A device that answers at once is also read again here.
         sent = position, velocity, effort
-        devices.move(tick.number, sent, controller.max_velocity, controller.starts.unplaced)
+        starts = controller.starts
+        devices.move(tick.number, sent, controller.max_velocity, starts.unplaced, starts.started)
+        starts.started.clear()
         # The record comes last: nothing that the devices wait for depends on it.
         self._record = TickRecord(
             *measured_arrays(state.sample),

@@ -6,11 +6,12 @@ import asyncio
 import logging
 import math
 from collections import deque
-from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import anyio
+import numpy as np
 
 from rtee import monotonic
 from rtee.buses.retry import patiently
@@ -31,8 +32,8 @@ from rtee.errors import (
 from rtee.loop.guarded_driver import GuardedDriver, line, warnings_of
 from rtee.loop.runner import Runner
 from rtee.loop.settings import DeviceSettings
-from rtee.sample import ActuatorState
-from rtee.types import DeviceStatus, Event, Lifecycle, Reference
+from rtee.sample import ActuatorState, FloatArray
+from rtee.types import DeviceStatus, Event, Lifecycle, Reference, readonly
 
 log = logging.getLogger(__name__)
 
@@ -152,6 +153,8 @@ class DeviceConnection:
         # Connect at the first tick.
         self._next_at = -math.inf
         self._answered = -math.inf
+        self._given: FloatArray | None = None
+        self._behind = False
         self._said: tuple[str, ...] = ()
         self._warned: tuple[str, ...] = ()
 
@@ -169,6 +172,7 @@ class DeviceConnection:
 
     async def exchange(self, reference: Reference | None) -> None:
         """Read the state, then send the reference if there is one; cannot raise."""
+        before, missed = self._answered, self.counters.in_row
         try:
             # Sense first: the controller's next input must not wait for sending.
             self.accept(await self._driver.sense())
@@ -177,12 +181,40 @@ class DeviceConnection:
                 raise TimeoutError("no answer within the deadline")
             # A request may have made the device inactive since the reference was handed over.
             if reference is not None and self.lifecycle is Lifecycle.ACTIVE:
+                if missed or self._behind:
+                    reference = self._within_reach(reference, self._answered - before)
+                self._given = reference.position
                 await self._driver.move(reference)
         except Exception as error:
             await self.failed(error)
         else:
             self.counters.exchanges += 1
             self.counters.in_row = 0
+
+    def _within_reach(self, reference: Reference, passed: float) -> Reference:
+        """Return a reference that the device reaches without a jump after missed exchanges.
+
+        Meanwhile, the loop's reference has moved on; the device catches up with it within the
+        velocity limits.
+
+        Args:
+            reference: The loop's reference.
+            passed: Time since the last one [s].
+        """
+        if self._given is None:
+            return reference
+        most = reference.max_velocity * min(passed, self.deadline)
+        # `fmin` and `fmax` prefer a number to NaN, which stands for a reference that was started.
+        near = np.fmax(np.fmin(reference.position, self._given + most), self._given - most)
+        self._behind = bool((near != reference.position).any())
+        return replace(reference, position=readonly(near)) if self._behind else reference
+
+    def restart(self, places: Sequence[int]) -> None:
+        """Let some of the device's references start anew: they may differ from the last ones."""
+        if self._given is not None:
+            given = np.array(self._given)
+            given[places] = math.nan
+            self._given = given
 
     def accept(self, state: ActuatorState) -> None:
         """Keep a state that the driver returned."""
@@ -261,6 +293,7 @@ class DeviceConnection:
         self._activate_on_connect = self._settings.reconnect_active
         self.fault = None
         self.message = self.trouble = ""
+        self._given = None
         self.lifecycle = Lifecycle.ACTIVE
 
     async def recover(self) -> None:

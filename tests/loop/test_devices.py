@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import anyio
+import numpy as np
 import pytest
 
 from rtee.buses.pool import BusPool
@@ -109,6 +110,47 @@ async def test_lost_packets_are_counted_and_nothing_else_happens(hand: Hand) -> 
         assert status(rig).lifecycle is Lifecycle.ACTIVE
         stale = sum(not record.fresh.any() for record in rig.watcher.records)
         assert 100 <= stale <= 102
+
+
+@pytest.mark.parametrize("ends", ["goal", "stop"])
+async def test_after_lost_packets_the_device_catches_up_without_a_jump(
+    hand: Hand, ends: str
+) -> None:
+    settings, driver = trouble(hand)
+    sent: list[Reference] = []
+    move = driver.move
+
+    async def watched(reference: Reference) -> None:
+        sent.append(reference)
+        await move(reference)
+
+    driver.move = watched  # type: ignore[method-assign]
+    async with running(hand, None, [(settings, driver)]) as rig:
+        rig.loop.submit(Goal(Named("fist"), speed=0.5))
+        await rig.run(0.3)
+        before = len(sent) - 1
+        driver.errors = [BusTimeout("dummy", "noise")] * 400
+        await rig.run(0.4)
+        assert len(sent) == before + 1
+        ahead = rig.loop.snapshot().reference_position - sent[-1].position
+        assert ahead[0] > 0.3
+        if ends == "stop":
+            async with anyio.create_task_group() as group:
+                group.start_soon(rig.loop.stop)
+                await rig.run(0.01)
+            await rig.run(0.2)
+            assert sent[-1].position == pytest.approx([p.position for p in driver.plants])
+            assert sent[-1].position == pytest.approx(sent[before].position, abs=0.06)
+        else:
+            assert (await rig.result()).reached
+        assert (sent[-1].position == rig.loop.snapshot().reference_position).all()
+        top = np.array([0.5 * actuator.velocity for actuator in hand.actuators])
+        steps = np.abs(np.diff([each.position for each in sent[before:]], axis=0))
+        assert (steps[0] <= 0.05 * top * (1 + 1e-6)).all(), (
+            "as far as within an exchange's deadline"
+        )
+        if ends == "goal":
+            assert (steps[1:] <= top / rig.clock.rate * (1 + 1e-6)).all()
 
 
 async def test_silence_is_a_lost_device_and_it_comes_back_inactive(hand: Hand) -> None:
