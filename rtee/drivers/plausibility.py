@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 from rtee.types import ActuatorSpec, Event, JointKind
@@ -104,6 +104,7 @@ class Plausibility:
         self._leaping_until = [-math.inf] * n
         self._astray_until = [-math.inf] * n
         self._seen = [-math.inf] * n
+        self._unseen: set[int] = set()
         self._all_seen = -math.inf
         self._doubted: dict[int, _Doubt] = {}
         self._usual = [0.0] * n
@@ -111,8 +112,9 @@ class Plausibility:
         self._reference = [math.nan] * n
         self._still = [_FROZEN * span if math.isfinite(span) else _FROZEN for span in spans]
 
-    def forget(self, indices: Iterable[int]) -> None:
+    def forget(self, indices: Collection[int]) -> None:
         """Forget the positions of some actuators, which people may have moved meanwhile."""
+        self._unseen.update(indices)
         for i in indices:
             self._last[i] = math.nan
             self._leaping_until[i] = self._astray_until[i] = -math.inf
@@ -141,9 +143,9 @@ class Plausibility:
     ) -> float | None:
         """Return the measured position of an actuator if a reference may start from it.
 
-        ``None``: it was never measured, or the measurement is invalid, old or implausible, has just
-        leaped beside the way to the reference, or the encoder looks frozen. Then the reference must
-        brake where it is.
+        ``None``: it was not measured since `forget`, or the measurement is invalid, old or
+        implausible, has just leaped beside the way to the reference, or the encoder looks frozen.
+        Then the reference must brake where it is.
 
         Args:
             i: The actuator.
@@ -156,9 +158,9 @@ class Plausibility:
         # True for NaN, too.
         if not self._lowest[i] <= here <= self._highest[i] or i in self._doubted:
             return None
-        if stamp < self._astray_until[i]:
+        if stamp < self._astray_until[i] or i in self._unseen:
             return None
-        limit = max(_OLD, _OLD_INTERVALS * max(self._usual[i], self._all_usual))
+        limit = self._limit(i)
         if stamp - max(self._seen[i], self._all_seen) > limit:
             return None
         away = abs(reference - self._reference[i])
@@ -201,26 +203,41 @@ class Plausibility:
                     self._reference[i] = reference[i]
         if all(fresh):
             # Usually all are fresh: one time for all instead of a list of equal times.
+            if stamp - self._all_seen > _OLD:
+                self._heard_again(range(len(position)), stamp, reference)
             self._all_usual = _usual(self._all_usual, stamp - self._all_seen)
             self._all_seen = stamp
         else:
             for i, new in enumerate(fresh):
                 if new:
                     before = max(self._seen[i], self._all_seen)
+                    if stamp - before > _OLD:
+                        self._heard_again((i,), stamp, reference)
                     self._usual[i] = _usual(self._usual[i], stamp - before)
                     self._seen[i] = stamp
+        if self._unseen:
+            self._unseen = {i for i in self._unseen if not fresh[i]}
         if self._doubted:
             self._believe(stamp, active)
+
+    def _heard_again(
+        self, indices: Iterable[int], stamp: float, reference: Sequence[float]
+    ) -> None:
+        """Let actuators that were not measured in time look frozen only by what follows."""
+        for i in indices:
+            if stamp - max(self._seen[i], self._all_seen) > self._limit(i):
+                # While their device was silent, it may not have received the reference, either.
+                self._reference[i] = reference[i]
+
+    def _limit(self, i: int) -> float:
+        """Return the age above which an actuator's measurement is too old to start from [s]."""
+        return max(_OLD, _OLD_INTERVALS * max(self._usual[i], self._all_usual))
 
     def _moved(self, i: int, here: float, stamp: float, active: bool, wanted: float) -> None:
         # Called for each actuator at each tick of a motion, so min() and max() are written out.
         travel, most = abs(here - self._last[i]), self._most[i]
         if travel != travel or not active:  # the first measurement, or an undriven actuator
             self._left[i] = most
-            if (
-                travel != travel
-            ):  # as new as this tick, even if it was collected before the first one
-                self._seen[i] = stamp
             if active and self._outside(i, here):
                 self._doubt(i, stamp, f"is at {here:.3g}", "far outside of its limits", step=False)
         else:

@@ -27,6 +27,7 @@ from rtee.commands import (
     Jog,
     SetActive,
     SetGripEffort,
+    StreamSample,
 )
 from rtee.drivers.base import Driver
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
@@ -141,6 +142,7 @@ class HandLoop:
         self._busy_at = math.inf
         self._long_pause = round(_LONG_PAUSE * settings.rate)  # in ticks
         self._ended = False
+        self._muted: list[str] = []
 
     @property
     def name(self) -> str:
@@ -209,8 +211,14 @@ class HandLoop:
         if tick.missed >= self._long_pause:
             self._resume(tick.missed)
         # Start goals and apply commands, in the order of their arrival.
+        moves = False
         while self._pending:
-            self._begin(self._pending.popleft(), tick.number, stamp)
+            item = self._pending.popleft()
+            moves |= isinstance(item, tuple | Jog | StreamSample)
+            self._begin(item, tick.number, stamp)
+        if moves and self._muted:
+            # The reference must not move on while no device follows it.
+            self._begin(Hold(self._muted[-1]), tick.number, stamp)
         # Control: executor, profile and limiter turn goal and state into the reference.
         controller.step(stamp, state.measured)
         if self.settings.safety.idle_disable is not None:
@@ -316,6 +324,7 @@ class HandLoop:
         before = list(self.controller.measured.position)
         for device in self.devices.values():
             device.muted += 1
+            self._muted.append(reason)
             self._start(self._restart_moved, device, before, reason)
 
     async def _restart_moved(
@@ -342,6 +351,7 @@ class HandLoop:
                 )
         finally:
             device.muted -= 1
+            self._muted.remove(reason)
 
     def _moved(self, device: Supervisor, before: Sequence[float]) -> list[str]:
         """Return the actuators of a device that are no longer where they were measured before."""
@@ -491,14 +501,14 @@ class HandLoop:
             last = Reference.at(position, max_effort=[effort[i] for i in device.indices])
             return await device.hold(last, within)
 
-        self._devices.mute(True)
+        self._mute(reason)
         return await self._devices.confirm(reason, keep)
 
     async def _freeze_while(
         self, reason: str, request: Callable[[Supervisor, float], Awaitable[bool]]
     ) -> list[tuple[str, bool]]:
         """Send no references while the devices serve a request; then start from where they are."""
-        self._devices.mute(True)
+        self._mute(reason)
         self._pending.append(Freeze(reason))
         try:
             return await self._devices.confirm(reason, request)
@@ -506,6 +516,12 @@ class HandLoop:
             # Again: the hand may have moved in the meantime.
             self._pending.append(Freeze(reason))
             self._devices.mute(False)
+            self._muted.remove(reason)
+
+    def _mute(self, reason: str) -> None:
+        """Send no references for a while; what would move the hand meanwhile ends at once."""
+        self._devices.mute(True)
+        self._muted.append(reason)
 
     async def recover(self, device: str | None = None) -> None:
         """Bring a device, or all, out of fault or inactivity, without moving it.

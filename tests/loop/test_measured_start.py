@@ -158,7 +158,7 @@ async def test_a_glitch_that_looks_possible_becomes_no_reference(hand: Hand, pat
 
 
 @pytest.mark.parametrize("ends", [False, True], ids=["goes on", "ends"])
-@pytest.mark.parametrize("how", ["invalid", "one invalid", "far outside"])
+@pytest.mark.parametrize("how", ["invalid", "one invalid", "old", "far outside"])
 async def test_an_unmeasured_device_gets_no_reference_until_it_is_measured(
     hand: Hand, how: str, ends: bool
 ) -> None:

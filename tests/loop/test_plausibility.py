@@ -200,3 +200,18 @@ def test_far_outside_of_the_limits_is_told_but_may_come_back() -> None:
     assert not plausible.doubted([0])
     assert "far outside of its limits" in told[0].text
     assert [event.severity for event in told] == ["warning", "info"]
+
+
+def test_an_encoder_looks_frozen_only_by_what_is_measured() -> None:
+    """While a device was silent, it may have stood still without a reference to follow."""
+    plausible, _ = watched()
+    for tick in range(100):
+        plausible.step(tick * 0.001, [0.5], [True], [True], [0.5])
+    silent = [0.5 + tick * 0.002 for tick in range(200)]
+    for tick, reference in enumerate(silent):
+        plausible.step(0.1 + tick * 0.001, [0.5], [False], [True], [reference])
+    plausible.step(0.3, [0.5], [True], [True], [silent[-1]])
+    assert plausible.start(0, 0.3, silent[-1]) == 0.5
+    for tick in range(100):
+        plausible.step(0.3 + tick * 0.001, [0.5], [True], [True], [silent[-1] + tick * 0.002])
+    assert plausible.start(0, 0.399, silent[-1] + 0.2) is None, "it was measured all the time"

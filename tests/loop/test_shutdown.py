@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 
 import anyio
+import anyio.lowlevel
+import numpy as np
 import pytest
 
 from rtee.buses.pool import BusPool
+from rtee.commands import StreamTargets
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import BusTimeout, GoalRejected
 from rtee.hand.config_schema import Behaviour, SafetySettings
@@ -61,6 +64,44 @@ async def stopped(rig: Rig, reason: str = "a test") -> list[tuple[str, bool]]:
         group.start_soon(stop)
         await rig.run(0.01)
     return answers
+
+
+class Slow(Listening):
+    """Takes a tenth of a second to stop, in which it measures nothing."""
+
+    async def stop(self) -> None:
+        for _ in range(100):  # ticks
+            for _ in range(12):
+                await anyio.lowlevel.checkpoint()
+        await super().stop()
+
+
+@pytest.mark.parametrize("what", ["goal", "jog", "stream"])
+async def test_what_comes_during_a_stop_moves_nothing(hand: Hand, what: str) -> None:
+    settings = device(hand)
+    driver = Slow(settings.spec, BusPool())
+    async with running(hand, None, [(settings, driver)]) as rig:
+        at = [plant.position for plant in driver.plants]
+        async with anyio.create_task_group() as group:
+            group.start_soon(rig.loop.stop)
+            await rig.run(0.005)
+            match what:
+                case "goal":
+                    rig.loop.submit(Goal(Named("fist")))
+                case "jog":
+                    rig.loop.jog({"index_base": 1.0})
+                case _:
+                    rig.loop.streams.begin("s", 50.0)
+                    rig.loop.streams.sample(StreamTargets("s", 0.0, {"index_base": 1.0}))
+            await rig.run(0.2)
+        assert "stop" in rig.watcher.kinds()
+        assert [result.cancelled for result in rig.watcher.results] == [True] * (what == "goal")
+        await rig.run(0.5)
+        assert [plant.position for plant in driver.plants] == at
+        moved = np.ptp([record.reference_position for record in rig.watcher.records], axis=0)
+        assert not moved.any(), "nor may the reference, which no device follows meanwhile"
+        rig.watcher.results.clear()
+        assert (await rig.do("Trig", "index")).reached
 
 
 async def test_stop_is_confirmed_and_the_hand_stays_where_it_is(hand: Hand) -> None:
