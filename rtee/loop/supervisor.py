@@ -320,6 +320,12 @@ class DeviceConnection:
             raise
         self._report("recovered", "is active again", "info")
 
+    def give_up_activation(self) -> None:
+        """Leave a device inactive that has never been connected, until `recover`."""
+        # Later activations never home, and so move nothing.
+        if not self._linked_before:
+            self._activate_on_connect = False
+
     def deactivated(self, trouble: str) -> None:
         """Record that the device was made inactive; it stays inactive until `recover`."""
         self.lifecycle = Lifecycle.INACTIVE
@@ -416,6 +422,9 @@ class DeviceConnection:
 def _words(error: BaseException) -> str:
     return line(error) or type(error).__name__
 
+
+_RECOVER = "recover"
+"""Name of the request to recover a device."""
 
 _BURST = 10.0
 """Events of one kind that a device may cause at once: more than any real trouble causes."""
@@ -647,12 +656,14 @@ class Supervisor:
     async def stop(self, within: float) -> bool:
         """Stop the device within a time [s], again if it did not answer; return whether it did.
 
-        Cannot raise.
+        What would activate the device, and may home it, is given up. Cannot raise.
         """
+        self._give_up_activation()
         return await self._confirmed("stop", self._stop, within)
 
     async def disable(self, within: float) -> bool:
         """Disable the device, which leaves it limp and inactive. Returns the same as `stop`."""
+        self._give_up_activation()
         return await self._confirmed("disable", self._disable, within)
 
     async def hold(self, reference: Reference, within: float) -> bool:
@@ -669,7 +680,7 @@ class Supervisor:
         Raises:
             RteeError: if the device cannot be recovered, or a stop has interrupted the recovery.
         """
-        await self._ask("recover", self.connection.recover)
+        await self._ask(_RECOVER, self.connection.recover)
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """Change gains of the device.
@@ -684,6 +695,13 @@ class Supervisor:
                 hint = f"it has: {', '.join(known) or 'none'}"
                 raise DriverError(self.name, f"has no gain '{name}'", hint=hint)
         await self._ask("set gains", lambda: self.guarded.set_gains(gains))
+
+    def _give_up_activation(self) -> None:
+        """Refuse waiting requests to recover; leave a device inactive that is being connected."""
+        self.connection.give_up_activation()
+        for request in self._requests:
+            if request.name == _RECOVER and not request.answer.done():
+                request.answer.set_exception(RteeError(f"'{request.name}' was interrupted"))
 
     async def _stop(self) -> None:
         await patiently(self.guarded.stop)
@@ -751,8 +769,8 @@ class Supervisor:
         while self._requests:
             request = self._requests.popleft()
             answer = request.answer
-            # The caller has given up.
-            if answer.cancelled():
+            # The caller has given up, or a stop has refused it.
+            if answer.done():
                 continue
             self._exchanging = False
             # The third of the time that a stop left for the running work ends with that work.

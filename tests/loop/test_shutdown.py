@@ -12,16 +12,17 @@ import pytest
 from rtee.buses.pool import BusPool
 from rtee.commands import StreamTargets
 from rtee.drivers.kinematic.driver import KinematicDriver
-from rtee.errors import BusTimeout, GoalRejected
+from rtee.errors import BusTimeout, GoalRejected, RteeError
 from rtee.hand.config_schema import Behaviour, SafetySettings
 from rtee.hand.model import Hand
-from rtee.loop.handloop import bring_to_rest
+from rtee.loop.clock import ManualClock
+from rtee.loop.handloop import HandLoop, bring_to_rest
 from rtee.loop.observer import Observer
 from rtee.loop.settings import LoopSettings
 from rtee.sample import ActuatorState, TickRecord
 from rtee.types import Goal, Lifecycle, Named, Reference
 
-from .hands import Rig, Watcher, device, running
+from .hands import Rig, Watcher, device, make_library, running
 
 pytestmark = pytest.mark.anyio
 
@@ -102,6 +103,63 @@ async def test_what_comes_during_a_stop_moves_nothing(hand: Hand, what: str) -> 
         assert not moved.any(), "nor may the reference, which no device follows meanwhile"
         rig.watcher.results.clear()
         assert (await rig.do("Trig", "index")).reached
+
+
+@pytest.mark.parametrize("request_", ["stop", "disable"])
+async def test_what_was_to_be_recovered_is_not_after_a_stop(hand: Hand, request_: str) -> None:
+    """A device that is recovered may home, and so moves."""
+    settings = device(hand)
+    driver = Slow(settings.spec, BusPool())
+    async with running(hand, None, [(settings, driver)]) as rig:
+        await rig.loop.disable()
+        await rig.run(0.05)
+        driver.told.clear()
+        refused: list[str] = []
+
+        async def recover() -> None:
+            try:
+                await rig.loop.recover()
+            except RteeError as error:
+                refused.append(str(error))
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(rig.loop.stop)  # the device is busy with it
+            await rig.run(0.005)
+            group.start_soon(recover)
+            await rig.run(0.005)
+            group.start_soon(getattr(rig.loop, request_))
+            await rig.run(0.5)
+        assert driver.told[0] == "stop"
+        assert refused == ["'recover' was interrupted"]
+        assert next(iter(rig.loop.devices.values())).lifecycle is Lifecycle.INACTIVE
+
+
+async def test_a_stop_before_the_device_is_connected_leaves_it_inactive(hand: Hand) -> None:
+    """It might home at once, and so move after the stop."""
+
+    class Booting(Listening):
+        async def configure(self) -> None:
+            await ready.wait()
+            await super().configure()
+
+    ready = anyio.Event()
+    settings = device(hand)
+    driver = Booting(settings.spec, BusPool())
+    watcher, clock = Watcher(), ManualClock(1000.0)
+    driver.now = clock.now
+    loop = HandLoop(hand, make_library(hand), LoopSettings(), [(settings, driver)], now=clock.now)
+    loop.add_observer(watcher)
+    async with loop:
+        rig = Rig(loop, clock, watcher)
+        await rig.run(0.05)
+        assert await loop.stop() == [("dummy", False)]
+        ready.set()
+        await rig.run(0.2)
+        one = loop.devices["dummy"]
+        assert one.lifecycle is Lifecycle.INACTIVE
+        await loop.recover()
+        await rig.run(0.01)
+        assert one.active
 
 
 async def test_stop_is_confirmed_and_the_hand_stays_where_it_is(hand: Hand) -> None:
