@@ -43,6 +43,19 @@ _STRAYS: Final = 6e-3
 """A fingertip strays when one actuator moves it this far from where it grasped [m]: more than the
 5 mm by which what is held may move. In simulation, those that hold stray by 4.8 mm at most."""
 
+FAINT: Final = 0.1
+"""Below this share of the requested force, fingers press on nothing: it is mere noise, or what an
+object weighs. In simulation, what is held shows 0.14 of the force at least, by sensors."""
+
+_GIVES: Final = 2e-4
+"""What is pressed on gives way while the tips come nearer by more than this [m] within `STILL`:
+more than the noise of positions. In simulation, they come nearer by 0.17 mm at most on what stays,
+and by 0.3 mm and more on foam that goes on turning between them."""
+
+STILL: Final = 0.5
+"""For this long, the tips must have come no nearer [s]: twice the time for which a grasp must
+rest."""
+
 _CREEP: Final = 0.5
 """An actuator creeps when it closes further by this share of its tolerance while it holds: more
 than noise, and before the grasp counts as lost."""
@@ -128,6 +141,19 @@ def presses(force: float, least: float, still: Iterable[bool]) -> bool:
 def pressing_share(effort: float, weight: float) -> float:
     """Return the part of an effort that presses, net of weight and friction; all [N·m | N]."""
     return min(max(1.0 - weight / effort, 0.0), 1.0) if effort and weight == weight else 0.0
+
+
+def faint(force: float, wanted: float) -> bool:
+    """Return whether a force between the tips shows nothing between them; both [N].
+
+    One side alone, or a small share of the requested force, holds nothing.
+    """
+    return force < FAINT * wanted
+
+
+def gives_way(nearer: float) -> bool:
+    """Return whether what is pressed on gives way, by how much nearer the tips have come [m]."""
+    return nearer > _GIVES
 
 
 def force_rests(share: float, now: float, then: float) -> bool:

@@ -255,6 +255,7 @@ class ContactMonitor:
             watched.presses = None
             watched.anchor, watched.since, watched.seen = math.nan, stamp, stamp
             watched.blocked_at, watched.grasping = math.nan, False
+            watched.hold_position = math.nan
 
     def tolerance(self, i: int) -> float:
         """Return the position error of an actuator that counts as 0 [rad | m]."""
@@ -318,7 +319,7 @@ class ContactMonitor:
             return False
         closing = watched.target - watched.start
         return rules.holds(
-            self.touch(i),
+            self.touch(i) if watched.presses is None else watched.presses,
             word=measured.grasped[i] == 1,
             denied=measured.grasped[i] == 0,
             away=False,
@@ -335,7 +336,7 @@ class ContactMonitor:
         return watched.grasping or abs(reference - position) > watched.tolerance
 
     def strayed(self, i: int, stamp: float, position: Sequence[float]) -> float:
-        """Return how far an actuator has moved its fingertip since it was pinned [m].
+        """Return how far an actuator has moved its fingertip since it was pinned or grasped [m].
 
         Args:
             i: The actuator.
@@ -346,7 +347,7 @@ class ContactMonitor:
         if watched is None:
             return 0.0
         moved = abs(position[i] - watched.hold_position)
-        # Seldom, since a lever takes a good part of a tick. "not ... >": it may not be pinned.
+        # Seldom, since a lever takes a good part of a tick. "not ... >": it may hold nothing.
         if not moved > watched.tolerance:
             return 0.0
         lever = self._levers.of(i, stamp, position)

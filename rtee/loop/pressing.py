@@ -47,9 +47,6 @@ _DEPTHS = (5e-5, 2e-2)
 _FIRST = 1e-4
 """Depth after which the stiffness is known [m]: more than the resolution of positions."""
 
-_TOUCHES = 0.1
-"""Below this share of the requested force, the fingers press on nothing yet: it is mere noise."""
-
 _HOLDS = 0.3
 """Least share of the requested force at which something is held."""
 
@@ -62,6 +59,9 @@ _SETTLE = 0.15
 
 _LONGEST = 3.0
 """Longest time for building up the force, from the contact on [s]: twenty time constants."""
+
+_AT_REST = 1.0
+"""Longest further wait for the tips to come no nearer [s]: fingers that bend creep for as long."""
 
 _SPARE = 2.0
 """Effort limits are this multiple of the efforts that the levers predict: sensors break, and
@@ -326,6 +326,8 @@ class Pressing:
         self._stiffness = force / _YIELDS
         self._stamp = self._began = self._off = math.nan
         self._by_efforts = self._width = math.nan
+        self._nearest = self._from = math.inf
+        self._since, self._still = math.nan, False
         self._rested: dict[int, float] = {}
         self._slipping = 0
 
@@ -349,7 +351,7 @@ class Pressing:
 
     def begin(self, stamp: float) -> None:
         """Begin to press at a time [s]."""
-        self._stamp = self._began = self._off = stamp
+        self._stamp = self._began = self._off = self._since = stamp
 
     def step(self, stamp: float, measured: Measured) -> bool:
         """Run one tick; return whether ``effort`` has changed."""
@@ -365,7 +367,9 @@ class Pressing:
         self._foresee(time, sensed)
         # All fingers count: one that stopped elsewhere holds nothing by itself.
         changed = self.answers_slips and self.built and self._slips(stamp, measured)
-        gone = share < _TOUCHES or self._past(measured) or self._strays(stamp, measured)
+        gone = (
+            rules.faint(self.felt, wanted) or self._past(measured) or self._strays(stamp, measured)
+        )
         self._contact.presses_now(self._way, not gone)
         # By efforts, which friction shifts, a force is not known well enough to be foreseen.
         soon = (self._foreseen if sensed else self.felt) / wanted
@@ -378,11 +382,23 @@ class Pressing:
         if not self.built:
             if max(abs(share - 1.0), abs(soon - 1.0)) > _NEAR:
                 self._off = stamp
-            if share < _TOUCHES:
+            if rules.faint(self.felt, wanted):
                 self._began = stamp  # it was not a contact: continue to the object, or to the end
-            if stamp - self._off >= _SETTLE or stamp - self._began >= _LONGEST or self._at_end:
+            self._watch(stamp, measured)
+            took = stamp - self._began
+            there = stamp - self._off >= _SETTLE or self._at_end or took >= _LONGEST
+            # Where nothing is held, there is nothing to wait for.
+            rests = self._still or share < _HOLDS or took >= _LONGEST + _AT_REST
+            if there and rests:
                 self._arrive(stamp, share, measured)
         return changed
+
+    def _watch(self, stamp: float, measured: Measured) -> None:
+        """Note whether the tips have come nearer within the last while: the object moves then."""
+        self._nearest = min(self._nearest, self._grip.opening(measured.position))
+        gives = rules.gives_way(self._from - self._nearest)
+        if gives or stamp - self._since >= rules.STILL:
+            self._still, self._from, self._since = not gives, self._nearest, stamp
 
     def _past(self, measured: Measured) -> bool:
         """Return whether the fingertips have closed past what they held."""
@@ -427,7 +443,7 @@ class Pressing:
             ),
             default=0.0,
         )
-        pressed = self.felt >= _TOUCHES * self._force
+        pressed = self.felt >= rules.FAINT * self._force
         return max(self._grip.intensity[-1] - start + (_BEYOND if pressed else 0.0), 0.0)
 
     def _move(self, time: float, wanted: float, measured: Measured) -> bool:
@@ -462,7 +478,7 @@ class Pressing:
 
     def _learn_stiffness(self, wanted: float) -> None:
         """Learn which depth gives which force, from where the fingers began to press."""
-        if self.felt < _TOUCHES * wanted:
+        if self.felt < rules.FAINT * wanted:
             self._depth, self._first = 0.0, self.felt
         elif self._depth >= _FIRST and self._velocity > 0.0:
             least, most = (wanted / depth for depth in reversed(_DEPTHS))
@@ -503,7 +519,7 @@ class Pressing:
         if math.isnan(grip.tip_force(measured.touch)):
             share = 0.0
         else:
-            share = self._force / max(self.felt, _TOUCHES * self._force)
+            share = self._force / max(self.felt, rules.FAINT * self._force)
         sensed = {i: share * abs(measured.effort[i]) for i in known}
         more = {
             i: max(effort, min(sensed[i], _BELIEVED * effort))
@@ -519,9 +535,10 @@ class Pressing:
         """Judge whether something is held, and record the result."""
         self.built = True
         self.failed = share < _HOLDS or not self._estimate.both_press(measured)
+        holds = self._still and not self.failed
         for i in self.held:
             here = measured.position[i]
-            self._contact.pin(i, stamp, here, grasping=i in self._predicted and not self.failed)
+            self._contact.pin(i, stamp, here, grasping=i in self._predicted and holds)
         self._width = self._grip.opening(measured.position)
         self._rested = self._touches(measured)
         self._by_efforts = self._estimate.by_efforts(measured.effort, measured.position)

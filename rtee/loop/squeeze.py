@@ -198,6 +198,7 @@ class Squeeze:
         if not self.built:
             self._build(stamp, measured)
             return True
+        self._judge(stamp, measured)
         self._correcting = self.grip is not None and self._corrects(stamp, measured)
         if self.grip is not None and self._correcting:
             corrected = self._correct(self.grip, stamp, measured)
@@ -223,6 +224,18 @@ class Squeeze:
             self._set_level(max(self._level - _EASE_STEP, self._floor), stamp)
             return True
         return False
+
+    def _judge(self, stamp: float, measured: Measured) -> None:
+        """Tell the contacts whether the fingers press on something, as far as the force shows it.
+
+        All fingers count, as one motor may move both sides: one side alone holds nothing, nor do
+        fingers that have left the place where they grasped.
+        """
+        felt = math.nan if self.grip is None else self.grip.tip_force(measured.touch)
+        for i in self.pressing:
+            strays = rules.strays(self._contact.strayed(i, stamp, measured.position))
+            if felt == felt or strays:
+                self._contact.presses_now((i,), not (strays or rules.faint(felt, self.force)))
 
     @property
     def _least(self) -> float:

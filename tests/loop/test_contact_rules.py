@@ -163,6 +163,18 @@ def test_a_fingertip_that_moves_by_more_than_a_slip_has_strayed() -> None:
     assert not rules.strays(NAN)
 
 
+def test_a_small_share_of_the_force_is_faint() -> None:
+    assert rules.faint(0.096, 3.1)  # a plate that slides out of one motor's fingers
+    assert not rules.faint(0.48, 3.3)  # a ball that they hold
+    assert rules.faint(0.0, 3.1)  # one side feels nothing
+
+
+def test_what_yields_at_the_end_of_a_grasp_gives_way() -> None:
+    assert not rules.gives_way(0.00017)
+    assert rules.gives_way(0.0003)
+    assert not rules.gives_way(NAN)
+
+
 def test_fingers_of_one_side_press_on_one_another() -> None:
     assert rules.both_press([3.9, 6.7])
     assert rules.both_press([0.7, 9.3])  # met elsewhere than its levers assume

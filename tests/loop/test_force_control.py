@@ -55,6 +55,9 @@ class Gripper:
         amperes: Current for every unit of effort, which is not measured then [A/(N·m)].
         impact: What the sensors read more for 20 ticks from the contact on [N].
         learned: What is known of its free motion.
+
+    Attributes:
+        opposite: What the sensor on the other side reads for every newton of this one.
     """
 
     def __init__(
@@ -74,6 +77,7 @@ class Gripper:
         )
         self.controller = Controller(self.hand, self.settings)
         self.reads, self.friction, self.stops_short = reads, friction, stops_short
+        self.opposite = 1.0
         self.amperes = amperes
         self.impact, self.since_contact = impact, 0
         self.grip = self.plan(Goal(Named("Grasp"), Opening(width))).grip
@@ -125,7 +129,8 @@ class Gripper:
             self.since_contact += 1
         if self.reads == self.reads:
             hit = self.impact if 0 < self.since_contact <= 20 else 0.0
-            touch = [self.reads * self.force + hit] * 2
+            felt = self.reads * self.force + hit
+            touch = [felt, self.opposite * felt]
         measured = Measured([self.position], [self.effort], [NAN], [True], [-1], touch=touch)
         if self.amperes == self.amperes:
             free = 0.3 * (self.controller.reference_velocity[0] > 0.0)
@@ -308,6 +313,40 @@ def test_fingertips_that_meet_one_another_are_no_object(reads: float) -> None:
     assert Gripper(0.01, reads=0.0).do(strict).outcome == "stalled"
 
 
+@pytest.mark.parametrize(("reads", "opposite"), [(0.05, 1.0), (1.0, 0.0)])
+def test_one_side_or_a_faint_force_holds_nothing_that_is_known(
+    reads: float, opposite: float
+) -> None:
+    gripper = Gripper(0.04, reads=reads)
+    gripper.opposite = opposite
+    result = gripper.do(grasp(0.04, 40.0))
+    assert (result.grasped, result.unknown) == (False, True)
+
+
+def test_what_one_side_alone_still_touches_is_lost() -> None:
+    gripper = Gripper(0.04, reads=1.0)
+    assert gripper.do(grasp(0.04, 40.0)).grasped
+    before, gripper.opposite = gripper.time, 0.0  # one motor moves both sides, and stands still
+    for _ in range(100):
+        gripper.tick()
+    [lost] = [event for event in gripper.events if event.kind == "grasp_lost"]
+    assert 0.04 < lost.stamp - before < 0.2
+
+
+@pytest.mark.parametrize("reads", [1.0, NAN])
+@pytest.mark.parametrize(("further", "lost"), [(0.03, False), (0.12, True)])
+def test_fingers_that_go_on_past_where_they_grasped_have_lost_it(
+    reads: float, further: float, lost: bool
+) -> None:
+    gripper = Gripper(0.04, reads=reads)
+    assert gripper.do(grasp(0.04, 40.0)).grasped
+    gripper.contact += further  # they press on as before, on what has turned between them
+    for _ in range(200):
+        gripper.tick()
+    assert gripper.force > 30.0
+    assert ("grasp_lost" in [event.kind for event in gripper.events]) is lost
+
+
 def test_a_gripper_that_its_force_does_not_move_holds_nothing() -> None:
     gripper = Gripper(friction=4.0)
     result = gripper.do(Goal(Named("Grasp"), effort={gripper.hand.actuator_names[0]: 3.0}))
@@ -463,10 +502,13 @@ def test_fingers_that_press_together_approach_with_no_more_than_the_force_takes(
     assert "at 3 mm/s instead of 10 mm/s: faster, the impact of fingers that lag 1 s" in text
 
 
-@pytest.mark.parametrize("opposed", [True, False])
-def test_a_side_at_its_end_opposes_the_one_that_touches_if_something_is_there(
-    opposed: bool,
-) -> None:
+def pressed(*, opposed: bool = True, gives: float = 0.0) -> Result:
+    """Let a finger and a thumb press on an object 20 mm wide, and return the result.
+
+    Args:
+        opposed: Whether the thumb meets it, too, at the end of its motion.
+        gives: Speed at which the finger and the object move on under it [rad/s].
+    """
     folder = FOLDER.with_name("heri_ii")
     hand, config = load_configured(folder)
     settings = loop_settings(config, rate=500.0)
@@ -483,6 +525,7 @@ def test_a_side_at_its_end_opposes_the_one_that_touches_if_something_is_there(
     results: list[Result] = []
     for _ in range(10_000):
         controller.step(time, Measured(position, effort, [NAN] * size, [True] * size, [-1] * size))
+        stops[finger] += gives * settings.period * (position[finger] >= stops[finger])
         results += [each for each in controller.outbox.items if isinstance(each, Result)]
         controller.outbox.items.clear()
         if results:
@@ -503,10 +546,26 @@ def test_a_side_at_its_end_opposes_the_one_that_touches_if_something_is_there(
         ]
         position = there
     [result] = results
+    return result
+
+
+@pytest.mark.parametrize("opposed", [True, False])
+def test_a_side_at_its_end_opposes_the_one_that_touches_if_something_is_there(
+    opposed: bool,
+) -> None:
+    result = pressed(opposed=opposed)
     assert result.grasped is opposed
     assert result.unknown is not opposed
     if opposed:
         assert result.force == pytest.approx(6.0, rel=0.05)
+
+
+def test_what_goes_on_giving_way_is_not_said_to_be_held() -> None:
+    stays, gives = pressed(), pressed(gives=0.02)
+    assert (stays.grasped, gives.grasped, gives.unknown) == (True, False, True)
+    assert gives.force == pytest.approx(6.0, rel=0.1)  # the force alone would not tell
+    assert gives.duration > stays.duration
+    assert pressed(gives=0.002).grasped  # it creeps as slowly as soft things do
 
 
 class Stepping(Gripper):
