@@ -49,8 +49,8 @@ _PRESENTED: Final = 0.1
 """For this long an object is there before the goal begins [s]."""
 
 _APART: Final = 0.1
-"""For this long both sides must have lost the object before they no longer press on it [s]:
-contacts chatter."""
+"""For this long the fingers must have lost the object before they no longer press on it, or touch
+it [s]: contacts chatter."""
 
 _FRICTION: Final = (0.6, 1.0)
 """Range of the friction."""
@@ -400,12 +400,15 @@ class _Try:
         if around.has_object:
             around.remove_support()
         gap = self._contacts.gap()
-        headless.wait(WATCHED - SETTLED)
-        held = False
+        headless.wait(WATCHED - SETTLED - _APART)
+        touched = held = False
+        for _ in range(round(_APART * RATE)):  # a ball may chatter between the fingers
+            headless.tick()
+            touched = touched or (around.has_object and len(around.touching()) > 1)
         if around.has_object:
             moved = float(np.linalg.norm(around.position_in_hand - place))
             turn = turned(self._shape, start, around.object_frame)
-            held = moved <= SLIP and turn <= TURN and len(around.touching()) > 1
+            held = moved <= SLIP and turn <= TURN and touched
         after = self._forces[until:] or [0.0]
         return Truth(
             result,
