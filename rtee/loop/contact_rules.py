@@ -129,13 +129,24 @@ def touches(felt: bool | None, *, pushes: bool, blocked: bool) -> bool:
 def presses(force: float, least: float, still: Iterable[bool]) -> bool:
     """Return whether fingers that stand still press on something, by their efforts alone.
 
-    force: The force between them by the efforts of those that stand still, net of weight and
-        friction [N].
+    Args:
+        force: The force between them by the efforts of those that stand still, net of weight and
             friction [N].
         least: The force to press with [N].
         still: For each side, whether a pressing actuator of known friction stands still.
     """
     return force >= least and all(still)
+
+
+def is_pressed(sides: Iterable[float], least: float) -> bool:
+    """Return whether the other side presses on fingers that wait, however freely it still moves.
+
+    Args:
+        sides: The force of each side by the efforts of those that wait, net of weight and friction
+            [N].
+        least: The force to press with [N].
+    """
+    return max(sides, default=0.0) >= least
 
 
 def pressing_share(effort: float, weight: float) -> float:

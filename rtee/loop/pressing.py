@@ -453,7 +453,7 @@ class Pressing:
         speed = min(max(speed, -self._speed), self._speed)
         stronger = False
         if speed > 0.0 and (self._exhausted(measured) or self._one_sided(wanted, measured)):
-            speed, stronger = 0.0, self._strengthen(measured)
+            speed, stronger = 0.0, self._strengthen(time, measured)
         at = min(max(self._grip.intensity_of(measured.position), 0.0), self._grip.intensity[-1])
         slope = max(self._grip.slope_at(at), 1e-6)
         # By the actuator that can change its velocity least.
@@ -508,11 +508,12 @@ class Pressing:
         sides = (grip.fingers, grip.others)
         return [{i for own, i in moved if not own.isdisjoint(side)} for side in sides]
 
-    def _strengthen(self, measured: Measured) -> bool:
+    def _strengthen(self, time: float, measured: Measured) -> bool:
         """Allow the efforts that the force takes at the present posture; return whether it is more.
 
         On a wide object, levers change by a multiple between its width and where it is met. Sensors
-        show how much effort the present force takes.
+        show how much effort the present force takes. The limits rise as slowly as the force may:
+        the references of actuators at their limits lead far ahead, and would strike at once.
         """
         grip, known = self._grip, self._predicted
         now = grip.efforts(self._force, grip.intensity_of(measured.position))
@@ -526,7 +527,8 @@ class Pressing:
             for i, effort in now.items()
             if i in known
         }
-        more = {i: effort for i, effort in more.items() if effort > known[i]}
+        grows = min(time / _FOLLOW, 1.0)
+        more = {i: e + grows * (more[i] - e) for i, e in known.items() if more.get(i, e) > e}
         self._predicted = known | more
         self.effort |= self._ceilings(more.keys() & self.held)
         return bool(more)

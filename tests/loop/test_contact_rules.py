@@ -182,6 +182,12 @@ def test_fingers_of_one_side_press_on_one_another() -> None:
     assert rules.both_press([5.0])  # against what nothing moves
 
 
+def test_the_other_side_presses_on_a_finger_that_bears_the_whole_force() -> None:
+    assert rules.is_pressed([0.0, 2.1], 2.0)
+    assert not rules.is_pressed([1.9, 0.0], 2.0)
+    assert not rules.is_pressed([], 2.0)
+
+
 def test_a_finger_at_its_end_may_oppose_what_it_does_not_feel() -> None:
     assert rules.may_oppose(None, left=0.001, tolerance=0.002)
     assert not rules.may_oppose(None, left=0.003, tolerance=0.002)  # it may still meet something

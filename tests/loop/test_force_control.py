@@ -502,70 +502,163 @@ def test_fingers_that_press_together_approach_with_no_more_than_the_force_takes(
     assert "at 3 mm/s instead of 10 mm/s: faster, the impact of fingers that lag 1 s" in text
 
 
-def pressed(*, opposed: bool = True, gives: float = 0.0) -> Result:
-    """Let a finger and a thumb press on an object 20 mm wide, and return the result.
+class Pinch:
+    """Finger and thumb of a HERI II, one actuator each, that close on 20 mm with 6 N.
 
-    Args:
-        opposed: Whether the thumb meets it, too, at the end of its motion.
-        gives: Speed at which the finger and the object move on under it [rad/s].
+    Attributes:
+        finger: Index of the finger's actuator.
+        thumb: That of the thumb's.
+        stops: Where something stops actuators, by index [rad].
+        most: Largest effort against what stops them, by index [N·m].
+        slow: Share of its reference's motion with which something that yields lets one go on.
+        reads: What sensors at the tips read for every newton by the levers; ``NaN``: there are none.
     """
-    folder = FOLDER.with_name("heri_ii")
-    hand, config = load_configured(folder)
-    settings = loop_settings(config, rate=500.0)
-    controller = Controller(hand, settings)
-    size = len(hand.actuators)
-    goal = Goal(Named("PinchTight", ("finger_2", "thumb")), Around(0.02), effort=Force(6.0))
-    plan = make_plan(goal, hand, ActionLibrary.load(hand, folder / "actions"), settings)
-    assert plan.grip is not None
-    finger, thumb = plan.effort
-    stops = {finger: plan.grip.position_at(plan.grip.intensity_at(0.02))[finger]}
-    if opposed:  # the thumb meets a soft object where its motion ends
-        stops[thumb] = plan.legs[-1].targets[thumb]
-    time, position, effort = 0.0, hand.rest.tolist(), [0.0] * size
-    results: list[Result] = []
-    for _ in range(10_000):
-        controller.step(time, Measured(position, effort, [NAN] * size, [True] * size, [-1] * size))
-        stops[finger] += gives * settings.period * (position[finger] >= stops[finger])
-        results += [each for each in controller.outbox.items if isinstance(each, Result)]
-        controller.outbox.items.clear()
-        if results:
-            break
-        if not time:
-            controller.apply(SetActive(dict.fromkeys(hand.actuator_names, True)), time)
-            controller.accept(plan, time)
-        time += settings.period
-        reference, limits = controller.reference_position, controller.reference_effort
-        there = [min(to, stops.get(i, math.inf)) for i, to in enumerate(reference)]
-        # Friction, and a servo of 20 N·m/rad against what stops it; alone, the finger meets no more
-        # than its friction.
-        effort = [
-            min(0.03 * (t > p) + 20.0 * (r - t), limit if opposed or i != finger else 0.2)
+
+    def __init__(self, reads: float = NAN) -> None:
+        folder = FOLDER.with_name("heri_ii")
+        self.hand, config = load_configured(folder)
+        self.settings = loop_settings(config, rate=500.0)
+        self.controller = Controller(self.hand, self.settings)
+        goal = Goal(Named("PinchTight", ("finger_2", "thumb")), Around(0.02), effort=Force(6.0))
+        library = ActionLibrary.load(self.hand, folder / "actions")
+        self.plan = make_plan(goal, self.hand, library, self.settings)
+        self.finger, self.thumb = self.plan.effort
+        self.stops: dict[int, float] = {}
+        self.most: dict[int, float] = {}
+        self.slow, self.reads = 0.0, reads
+        size = len(self.hand.actuators)
+        self.time, self.position, self.effort = 0.0, self.hand.rest.tolist(), [0.0] * size
+        self.force = 0.0
+        self.results: list[Result] = []
+        self.events: list[Event] = []
+
+    def at(self, width: float, i: int) -> float:
+        """Return where an actuator is at an opening [rad]."""
+        assert self.plan.grip is not None
+        return self.plan.grip.position_at(self.plan.grip.intensity_at(width))[i]
+
+    @property
+    def limits(self) -> list[float]:
+        return [self.controller.reference_effort[i] for i in (self.finger, self.thumb)]
+
+    def tick(self) -> None:
+        assert self.plan.grip is not None
+        size = len(self.hand.actuators)
+        touch = []
+        if self.reads == self.reads:
+            touch = [self.reads * self.force] * len(self.hand.fingers)
+        measured = Measured(
+            self.position, self.effort, [NAN] * size, [True] * size, [-1] * size, touch=touch
+        )
+        self.controller.step(self.time, measured)
+        for item in self.controller.outbox.items:
+            if isinstance(item, Result):
+                self.results.append(item)
+            elif isinstance(item, Event):
+                self.events.append(item)
+        self.controller.outbox.items.clear()
+        if not self.time:
+            self.controller.apply(
+                SetActive(dict.fromkeys(self.hand.actuator_names, True)), self.time
+            )
+            self.controller.accept(self.plan, self.time)
+        self.time += self.settings.period
+        reference, limits = self.controller.reference_position, self.controller.reference_effort
+        there = list(reference)
+        for i, stop in self.stops.items():
+            there[i] = min(there[i], stop + self.slow * max(there[i] - stop, 0.0))
+        # Friction, and a servo of 20 N·m/rad against what stops it.
+        self.effort = [
+            min(0.03 * (t > p) + 20.0 * (r - t), limit, self.most.get(i, math.inf))
             for i, (t, p, r, limit) in enumerate(
-                zip(there, position, reference, limits, strict=True)
+                zip(there, self.position, reference, limits, strict=True)
             )
         ]
-        position = there
-    [result] = results
-    return result
+        self.position = there
+        self.force = min(
+            self.effort[i] / lever if i in self.stops else 0.0
+            for _, i, lever in self.plan.grip.squeezing(self.plan.grip.intensity_of(there))
+        )
 
 
 @pytest.mark.parametrize("opposed", [True, False])
 def test_a_side_at_its_end_opposes_the_one_that_touches_if_something_is_there(
     opposed: bool,
 ) -> None:
-    result = pressed(opposed=opposed)
+    pinch = Pinch()
+    pinch.stops = {pinch.finger: pinch.at(0.02, pinch.finger)}
+    if opposed:  # the thumb meets a soft object where its motion ends
+        pinch.stops[pinch.thumb] = pinch.plan.legs[-1].targets[pinch.thumb]
+    else:  # alone, the finger meets no more than its friction
+        pinch.most = {pinch.finger: 0.2}
+    while not pinch.results and pinch.time < 20.0:
+        pinch.tick()
+    [result] = pinch.results
     assert result.grasped is opposed
     assert result.unknown is not opposed
     if opposed:
         assert result.force == pytest.approx(6.0, rel=0.05)
 
 
+def held_at(gives: float) -> Result:
+    """Return the result of a pinch of 20 mm that gives way under the finger at a speed [rad/s]."""
+    pinch = Pinch()
+    pinch.stops = {pinch.finger: pinch.at(0.02, pinch.finger)}
+    pinch.stops[pinch.thumb] = pinch.plan.legs[-1].targets[pinch.thumb]
+    while not pinch.results and pinch.time < 20.0:
+        pinch.tick()
+        touched = pinch.position[pinch.finger] >= pinch.stops[pinch.finger]
+        pinch.stops[pinch.finger] += gives * pinch.settings.period * touched
+    [result] = pinch.results
+    return result
+
+
 def test_what_goes_on_giving_way_is_not_said_to_be_held() -> None:
-    stays, gives = pressed(), pressed(gives=0.02)
+    stays, gives = held_at(0.0), held_at(0.02)
     assert (stays.grasped, gives.grasped, gives.unknown) == (True, False, True)
     assert gives.force == pytest.approx(6.0, rel=0.1)  # the force alone would not tell
     assert gives.duration > stays.duration
-    assert pressed(gives=0.002).grasped  # it creeps as slowly as soft things do
+    assert held_at(0.002).grasped  # it creeps as slowly as soft things do
+
+
+def test_what_presses_on_a_finger_that_waits_is_the_other_side_however_freely_it_moves() -> None:
+    pinch = Pinch()
+    assert pinch.plan.grip is not None
+    [lever] = [w for _, i, w in pinch.plan.grip.squeezing(0.5) if i == pinch.finger]
+    pinch.stops = {pinch.finger: pinch.at(0.028, pinch.finger)}
+    pinch.most = {pinch.finger: 0.2}
+    meets, borne = pinch.at(0.028, pinch.thumb), 0.0
+    while pinch.time < 5.0 and "thumb" not in [event.source for event in pinch.events]:
+        pinch.tick()
+        # The thumb pushes the object against the finger, and meets no more than its friction.
+        borne = 10.0 * max(pinch.position[pinch.thumb] - meets, 0.0)
+        pinch.effort[pinch.finger] = max(pinch.effort[pinch.finger], borne)
+    assert 0.9 * 6.0 < borne / lever < 1.1 * 6.0
+
+
+def test_joints_that_follow_at_two_thirds_of_their_references_press_on_the_way_around() -> None:
+    pinch = Pinch()
+    # What lies askew meets both long before the path around it ends, and yields.
+    pinch.stops = {i: pinch.at(0.04, i) for i in (pinch.finger, pinch.thumb)}
+    pinch.slow, forces = 0.65, []
+    while pinch.time < 20.0 and not pinch.events:
+        pinch.tick()
+        forces.append(pinch.force)
+    assert max(forces) < 6.0
+
+
+def test_effort_limits_rise_slowly_while_references_lead_far_ahead() -> None:
+    pinch = Pinch(reads=0.2)  # it touches the object elsewhere than its levers assume
+    pinch.stops = {i: pinch.at(0.02, i) for i in (pinch.finger, pinch.thumb)}
+    while pinch.time < 20.0 and not pinch.force:
+        pinch.tick()
+    limits = []
+    while pinch.time < 20.0 and not pinch.results:
+        limits.append(pinch.limits)
+        pinch.tick()
+    rise = np.diff(limits, axis=0).max(axis=0)
+    assert pinch.results[0].force == pytest.approx(6.0, rel=0.1)
+    assert np.all(rise <= 0.1 * np.max(limits, axis=0))
 
 
 class Stepping(Gripper):
