@@ -33,8 +33,9 @@ _LAGS = 0.5
 behind it, gets more effort."""
 
 _KEEPS_UP = 0.75
-"""One of several in a finger that moves by less than this share of its reference, without a limit
-that slows it, presses on something. In simulation, joints go on at 0.3 to 0.7 while others stand."""
+"""An actuator whose effort nothing limits presses on something when it moves by less than this
+share of its reference: in simulation, joints go on at 0.3 to 0.7 while others of their finger
+stand."""
 
 _LOOKED_AT = 0.02
 """Interval at which the approach's progress is evaluated [s]: at 1 kHz, the travel of a single tick

@@ -511,7 +511,7 @@ class Pinch:
         stops: Where something stops actuators, by index [rad].
         most: Largest effort against what stops them, by index [N·m].
         slow: Share of its reference's motion with which something that yields lets one go on.
-        reads: What sensors at the tips read for every newton by the levers; ``NaN``: there are none.
+        reads: What sensors read for every newton by the levers; ``NaN``: there are none.
     """
 
     def __init__(self, reads: float = NAN) -> None:
