@@ -35,7 +35,7 @@ from rtee.commands import StreamStatus
 from rtee.errors import NoHand
 from rtee.messages.requests import Role
 from rtee.remote.client import ONE_PROCESS, RemoteHand, connect
-from rtee.remote.goal import RunningGoal
+from rtee.remote.goal import RunningGoal, check_follower
 from rtee.remote.stream import Stream, paced
 from rtee.types import Feedback, Result
 
@@ -156,6 +156,7 @@ def _following(
     @wraps(method)
     def call(self: BlockingHand, /, *args: P.args, **kwargs: P.kwargs) -> Result:
         on_feedback: Any = kwargs.get("on_feedback")
+        check_follower(on_feedback)
         if on_feedback is None:
             return _wait(self._portal, partial(method, self._hand, *args, **kwargs))
         said: queue.SimpleQueue[Feedback | None] = queue.SimpleQueue()
@@ -262,7 +263,7 @@ class BlockingHand:
         rate: float = 50.0,
         *,
         deadline: float | str | None = None,
-        effort: Mapping[str, float] | float | None = None,
+        effort: Mapping[str, float] | float | str | None = None,
     ) -> Iterator[BlockingStream]:
         """Stream set-points for as long as the context lasts; see `RemoteHand.stream`."""
         opened = self._hand.stream(rate, deadline=deadline, effort=effort)

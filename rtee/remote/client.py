@@ -384,10 +384,11 @@ async def stop_hand(
 
 
 class HandConnection(contextlib.AbstractAsyncContextManager[RemoteHand, None]):
-    """A connection to be opened by ``async with``; made by `connect`."""
+    """A connection to be opened by ``async with``, once; made by `connect`."""
 
     def __init__(self, opened: contextlib.AbstractAsyncContextManager[RemoteHand]) -> None:
         self._opened = opened
+        self._used = False
 
     async def __aenter__(self) -> RemoteHand:
         try:
@@ -397,6 +398,9 @@ class HandConnection(contextlib.AbstractAsyncContextManager[RemoteHand, None]):
                 "this client runs on asyncio; on trio, use "
                 "rtee.connect_blocking, and call its methods with trio.to_thread.run_sync"
             ) from None
+        if self._used:
+            raise ConfigError("this connection was opened before; call rtee.connect again")
+        self._used = True
         return await self._opened.__aenter__()
 
     async def __aexit__(

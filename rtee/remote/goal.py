@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import inspect
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import replace
@@ -60,6 +61,17 @@ _CANCEL_FOR = 60.0
 client and reacts as configured."""
 
 
+def check_follower(on_feedback: object) -> None:
+    """Raise `GoalRejected` unless feedback can be given to a function, or there is ``None``."""
+    # What an async function returns would never be awaited.
+    if on_feedback is not None and (
+        not callable(on_feedback) or inspect.iscoroutinefunction(on_feedback)
+    ):
+        raise GoalRejected(
+            f"on_feedback must be a function, without async, not {on_feedback!r:.100}"
+        )
+
+
 class RunningGoal:
     """A goal that the hand has accepted.
 
@@ -107,9 +119,8 @@ class RunningGoal:
         Raises:
             NoHand: if the hand has gone.
         """
+        check_follower(on_feedback)
         if on_feedback is not None:
-            if not callable(on_feedback):
-                raise GoalRejected(f"on_feedback must be a function, not {on_feedback!r:.100}")
             async for feedback in self:
                 on_feedback(feedback)
         # Cancelling one waiting task must not cancel the result for the others.
@@ -408,13 +419,19 @@ class GoalClient:
             LeaseHeld: if another client holds the lease.
             NoHand: if the hand has gone.
         """
-        running = await self.start(action, *elements, **options)
-        return await self._followed(running, on_feedback)
+        return await self._followed(partial(self.start, action, *elements, **options), on_feedback)
 
     async def _followed(
-        self, running: RunningGoal, on_feedback: Callable[[Feedback], object] | None
+        self,
+        start: Callable[[], Awaitable[RunningGoal]],
+        on_feedback: Callable[[Feedback], object] | None,
     ) -> Result:
-        """Return the result; cancelling this, or an error of ``on_feedback``, cancels the goal."""
+        """Start a goal and return its result.
+
+        Cancelling this, or an error of ``on_feedback``, cancels the goal.
+        """
+        check_follower(on_feedback)  # before anything moves
+        running = await start()
         try:
             return await running.result(on_feedback)
         except BaseException:
@@ -468,7 +485,7 @@ class GoalClient:
             NoHand: if the hand has gone.
         """
         goal = opening_goal(opening, fingers, tip_speed)
-        return await self._followed(await self.start_goal(goal), on_feedback)
+        return await self._followed(partial(self.start_goal, goal), on_feedback)
 
     @spelled_out
     async def grasp(
@@ -498,8 +515,8 @@ class GoalClient:
             LeaseHeld: if another client holds the lease.
             NoHand: if the hand has gone.
         """
-        running = await self.start_goal(grasp_goal(width, **options))
-        return await self._followed(running, on_feedback)
+        goal = grasp_goal(width, **options)
+        return await self._followed(partial(self.start_goal, goal), on_feedback)
 
     @spelled_out
     async def touch(
@@ -522,7 +539,8 @@ class GoalClient:
             LeaseHeld: if another client holds the lease.
             NoHand: if the hand has gone.
         """
-        return await self._followed(await self.start_goal(touch_goal(**options)), on_feedback)
+        goal = touch_goal(**options)
+        return await self._followed(partial(self.start_goal, goal), on_feedback)
 
     async def cancel(self, goal_id: str = "") -> None:
         """Cancel a goal, by default the running one: the hand brakes and holds its posture."""

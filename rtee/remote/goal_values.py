@@ -174,9 +174,14 @@ def numbers(values: object, what: str) -> dict[str, float]:
 
 
 def share_of(effort: object) -> float | None:
-    """Return the effort if it is one share of all limits; ``None`` if unset or by actuator."""
+    """Return the effort if it is one share of all limits; ``None`` if unset or by actuator.
+
+    `shares` checks its range.
+    """
     if effort is None or isinstance(effort, Mapping):
         return None
+    if (plain := number(effort)) is not None:
+        return plain
     try:
         return quantity(effort, SHARE, "effort")  # type: ignore[arg-type]
     except GoalRejected:

@@ -8,7 +8,7 @@ import json
 import os
 import secrets
 import uuid
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from typing import Any
 
@@ -48,6 +48,7 @@ from rtee.messages.requests import (
 from rtee.messages.schema import message_type
 from rtee.remote.connections import vouching
 from rtee.remote.credentials import common_name, person
+from rtee.remote.rates import Rates
 from rtee.remote.session import EXPRESS, direct
 
 _CONNECT_WITHIN = 5.0
@@ -100,6 +101,9 @@ class Link:
         self._samples_wanted = asyncio.Event()
         self._samples.declare_matching_listener(direct(self._on_match))
         self._refusals: dict[str, Callable[[RemoteError], None]] = {}
+        # The limits that the hand applies, too: beyond them it answers late, and then not at all.
+        self._rates = Rates()
+        self._turns: defaultdict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._keys = {name: request.key(hand) for name, request in REQUESTS.items()}
         self._keys[HELLO] = network_key(hand, f"{HELLO}/{access_path}")
         # The hand knows by this token that its client is alive. Nobody else knows the token's name,
@@ -227,18 +231,33 @@ class Link:
     async def ask(
         self, name: str, fields: Mapping[str, Any] | None = None, *, within: float = ANSWER_WITHIN
     ) -> dict[str, Any]:
-        """Send a request and return the fields of its answer; see `send`.
-
-        Waits if this client sends such requests faster than the hand accepts them.
-        """
+        """Send a request and return the fields of its answer; see `paced`."""
         request = REQUESTS[name]
         question = b"" if fields is None else request.question.encode(fields)
+        answer: dict[str, Any] = request.answer.decode(
+            await self.paced(name, question, within=within)
+        )
+        return answer
+
+    async def paced(
+        self, name: str, question: bytes = b"", *, within: float = ANSWER_WITHIN
+    ) -> bytes:
+        """Send a request with an encoded question and return its encoded answer; see `send`.
+
+        Waits while this client sends such requests faster than the hand accepts them. The time for
+        the answer begins afterwards. A stop never waits.
+        """
+        group = REQUESTS[name].group
+        if group != STOP:
+            self._check_loop()
+            # In the order of the calls, since one waits at a time.
+            async with self._turns[name]:
+                while not self._rates.allow(name):  # noqa: ASYNC110 - allowances have no event
+                    await asyncio.sleep(self._rates.wait(name))
         until = self._loop.time() + within
         while True:
             try:
-                data = await self.send(name, question, within=within)
-                answer: dict[str, Any] = request.answer.decode(data)
-                return answer
+                return await self.send(name, question, within=within)
             except TooManyRequests:
                 if self._loop.time() > until:
                     raise
@@ -265,11 +284,8 @@ class Link:
         if self.gone and request.group == CONTROL:
             raise self.lost()
         # A stop is sent all the same, though nobody can wait for its answer there.
-        if request.group != STOP and asyncio.get_running_loop() is not self._loop:
-            raise ConfigError(
-                "this client belongs to another event loop; connect in each, or use "
-                "rtee.connect_blocking, whose methods any thread may call"
-            )
+        if request.group != STOP:
+            self._check_loop()
         future: asyncio.Future[bytes] = self._loop.create_future()
 
         def replied(reply: zenoh.Reply) -> None:
@@ -294,8 +310,21 @@ class Link:
                 attachment=self._signer.attachment(self._signer.number(), name, question),
             )
         except zenoh.ZError as error:
-            raise NoHand(f"the hand '{self.hand}' cannot be reached: {error}") from None
+            future.cancel()  # nobody waits for it, and Zenoh drops the query, which ends it
+            raise self._unreachable(error) from None
         return future
+
+    def _unreachable(self, error: zenoh.ZError) -> NoHand:
+        if self._left:
+            return self.lost()
+        return NoHand(f"the hand '{self.hand}' cannot be reached: {error}")
+
+    def _check_loop(self) -> None:
+        if asyncio.get_running_loop() is not self._loop:
+            raise ConfigError(
+                "this client belongs to another event loop; connect in each, or use "
+                "rtee.connect_blocking, whose methods any thread may call"
+            )
 
     def put(self, question: bytes, label: str) -> None:
         """Send a sample of a stream under a label; see `refusals`. Raises `NoHand`."""
@@ -305,7 +334,7 @@ class Link:
         try:
             self._samples.put(question, attachment=attachment)
         except zenoh.ZError as error:
-            raise NoHand(f"the hand '{self.hand}' cannot be reached: {error}") from None
+            raise self._unreachable(error) from None
 
     def _on_match(self, status: zenoh.MatchingStatus) -> None:
         if status.matching:

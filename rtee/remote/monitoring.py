@@ -137,8 +137,12 @@ class Monitoring:
         return await queue.get()
 
     async def state(self) -> State:
-        """Return the newest state."""
-        return decode_state(await self._link.send("state"))
+        """Return the newest state.
+
+        A hand answers 100 such requests of a client a second, after a burst of 50; faster ones wait
+        for their turn. Loops that need each state, or more of them, iterate over `states`.
+        """
+        return decode_state(await self._link.paced("state"))
 
     async def states(self, rate: float = 100.0, *, keep: int = 1) -> AsyncIterator[State]:
         """Iterate over states until the hand goes; each is the newest there is.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NoReturn
 
@@ -94,16 +95,25 @@ class Rates:
     def allow(self, name: str) -> bool:
         """Count a request and return whether it may be handled."""
         now = self._now()
-        rate = self._times * _RATES.get(name, _USUAL)
-        # With less than one, a slow rate would allow nothing at all.
-        most = max(_BURST * rate, float(rate > 0.0))
-        left, then = self._left.get(name, (most, now))
-        left = min(left + (now - then) * rate, most)
+        left, _ = self._allowance(name, now)
         # A refused request uses up nothing: clients that go on are not locked out for longer.
         if left < 1.0:
             return False
         self._left[name] = left - 1.0, now
         return True
+
+    def wait(self, name: str) -> float:
+        """Return the time until a request will be allowed [s]."""
+        left, rate = self._allowance(name, self._now())
+        return max(0.0, 1.0 - left) / rate if rate > 0.0 else math.inf
+
+    def _allowance(self, name: str, now: float) -> tuple[float, float]:
+        """Return how many requests are allowed now, and their rate [1/s]."""
+        rate = self._times * _RATES.get(name, _USUAL)
+        # With less than one, a slow rate would allow nothing at all.
+        most = max(_BURST * rate, float(rate > 0.0))
+        left, then = self._left.get(name, (most, now))
+        return min(left + (now - then) * rate, most), rate
 
     def charge(self, size: int) -> None:
         """Count the bytes of an answer."""

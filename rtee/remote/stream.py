@@ -21,7 +21,7 @@ from rtee.commands import STREAM_ENDED, StreamStatus, StreamTargets
 from rtee.errors import NoHand, RemoteError, RequestRejected
 from rtee.messages import EVENT, topics
 from rtee.messages.convert import STREAM_TARGETS
-from rtee.remote.goal_values import finite, numbers
+from rtee.remote.goal_values import finite, numbers, share_of
 from rtee.remote.link import Link
 from rtee.units import TIME, quantity
 
@@ -152,7 +152,7 @@ class StreamClient:
         rate: float = 50.0,
         *,
         deadline: float | str | None = None,
-        effort: Mapping[str, float] | float | None = None,
+        effort: Mapping[str, float] | float | str | None = None,
     ) -> AsyncIterator[Stream]:
         """Stream set-points for as long as the context lasts; this client holds the lease.
 
@@ -163,8 +163,8 @@ class StreamClient:
             rate: Samples per second that will be sent [Hz].
             deadline: Longest time without a sample [s], or a string such as ``200ms``; as
                 configured unless given.
-            effort: Effort limit by actuator [N·m | N]; or one number, above 0 up to 1, as a share
-                of the limit of every actuator. By default the hand's own limits.
+            effort: Effort limit by actuator [N·m | N]; or one share of the limit of every actuator,
+                above 0 up to 1, such as ``40%``. By default the hand's own limits.
 
         Raises:
             GoalRejected: if a value cannot be used.
@@ -174,8 +174,8 @@ class StreamClient:
         """
         link = self._link
         finite(rate, "rate of a stream")
-        if isinstance(effort, float | int):
-            effort = await self._goals.effort_limits(effort)
+        if (share := share_of(effort)) is not None:
+            effort = await self._goals.effort_limits(share)
         limits = numbers(effort or {}, "effort limit")
         if not self._subscribed:
             # Once for all streams, since a link keeps its subscribers until it is closed.

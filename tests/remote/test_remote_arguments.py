@@ -9,7 +9,7 @@ import pytest
 
 import rtee
 from rtee.actions.library import ActionLibrary
-from rtee.errors import UserError
+from rtee.errors import ConfigError, NoHand, UserError
 from rtee.hand.model import Hand
 
 from .serving import serving
@@ -47,7 +47,33 @@ async def test_a_method_says_what_it_needs(
         assert served.watcher.goals == []
 
 
-async def test_feedback_needs_a_function(hand: Hand, library: ActionLibrary) -> None:
-    async with serving(hand, library), rtee.connect("small") as remote:
-        with pytest.raises(UserError, match="on_feedback must be a function, not 3"):
-            await remote.do("fist", on_feedback=3)
+async def _later(feedback: object) -> None:
+    """Do nothing with feedback."""
+
+
+@pytest.mark.parametrize("given", [3, _later])
+async def test_feedback_needs_a_function(hand: Hand, library: ActionLibrary, given: Any) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        for call in (
+            remote.do("fist", on_feedback=given),
+            remote.open(on_feedback=given),
+            remote.grasp("5mm", on_feedback=given),
+            remote.move_opening("5mm", on_feedback=given),
+            remote.touch(on_feedback=given),
+        ):
+            with pytest.raises(UserError, match="on_feedback must be a function, without async"):
+                await call
+        assert served.watcher.goals == [], "nothing has moved"
+
+
+async def test_a_client_that_has_left_is_told_so(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library):
+        connection = rtee.connect("small")
+        async with connection as remote:
+            pass
+        for call in (remote.state, remote.status, remote.open):
+            with pytest.raises(NoHand, match="this client has left the hand 'small'"):
+                await call()
+        with pytest.raises(ConfigError, match=r"was opened before; call rtee\.connect again"):
+            async with connection:
+                pass

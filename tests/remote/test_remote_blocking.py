@@ -270,6 +270,27 @@ def test_a_share_of_the_efforts_is_given_as_in_a_goal(served: Served) -> None:
                 remote.effort_limits(wrong)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("effort", ["40%", 0.4, np.float32(0.4)])
+def test_a_stream_takes_efforts_as_a_goal_does(served: Served, effort: Any) -> None:
+    with rtee.connect_blocking("small") as remote:
+        with remote.stream(effort=effort) as stream:
+            assert not stream.ended
+        with (
+            pytest.raises(GoalRejected, match=r"share of all limits, such as 0\.4 or 40%, .*'4N'"),
+            remote.stream(effort="4N"),
+        ):
+            pass
+
+
+def test_feedback_needs_a_function_before_anything_moves(served: Served) -> None:
+    with (
+        rtee.connect_blocking("small") as remote,
+        pytest.raises(GoalRejected, match="on_feedback must be a function"),
+    ):
+        remote.do("fist", on_feedback=3)  # type: ignore[arg-type]
+    assert served.watcher.goals == []
+
+
 def test_events(served: Served) -> None:
     with rtee.connect_blocking("small") as remote, rtee.connect_blocking("small") as other:
         portal = remote._portal

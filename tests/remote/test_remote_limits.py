@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import threading
@@ -166,10 +167,21 @@ async def test_a_script_that_asks_too_often_only_takes_longer(
             await remote.info({"near": number / 30})
 
 
+async def test_who_asks_all_at_once_is_answered_in_turn(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        # More than the hand answers or refuses at once: it drops what is beyond.
+        states = await asyncio.gather(*(remote.state() for _ in range(170)))
+        assert len({state.names for state in states}) == 1
+        for _ in range(60):
+            await remote.state()
+
+
 def test_rates() -> None:
     now = 100.0
     one = Rates(lambda: now)
     assert sum(one.allow("info") for _ in range(100)) == 10
+    assert one.wait("info") == pytest.approx(1.0 / 20.0)
+    assert one.wait("jog") == 0.0
     assert one.allow("status"), "kinds are counted for themselves"
     now += 0.5
     assert sum(one.allow("info") for _ in range(100)) == 10
