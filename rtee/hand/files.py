@@ -118,10 +118,16 @@ def new_folder(path: Path | str) -> Iterator[Path]:
     Raises:
         ConfigError: if the folder cannot be created, or the path is a file.
     """
-    folder = Path(path)
+    with cleared_on_failure(Path(path)):
+        yield make_folder(path)
+
+
+@contextlib.contextmanager
+def cleared_on_failure(folder: Path) -> Iterator[None]:
+    """Remove a folder and its parents if the block has made them, fails, and leaves them empty."""
     made = [each for each in (folder, *folder.parents) if not each.exists()]
     try:
-        yield make_folder(folder)
+        yield
     # Also when the block is cancelled or the user presses Ctrl-C.
     except BaseException:
         # The innermost first; rmdir fails for folders that are not empty, which stay.

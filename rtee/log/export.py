@@ -16,11 +16,12 @@ import zstandard
 from numpy.typing import NDArray
 
 from rtee.errors import LogError, needing_extra, suggestion
-from rtee.hand.files import failing, replaced
+from rtee.hand.files import cleared_on_failure, failing, replaced
 from rtee.log.brief import actuators_of
 from rtee.log.reader import windows
 from rtee.log.recording import ActuatorSeries, Entry, JointSeries, Recording
 from rtee.messages import topics
+from rtee.messages.codec import SECOND
 from rtee.messages.convert import plain
 from rtee.messages.state import ACTUATOR_COLUMNS
 from rtee.types import Result
@@ -157,7 +158,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
     If the file cannot be written, removes it and raises `LogError`.
     """
-    with failing("cannot be written", path, LogError):
+    with failing("cannot be written", path, LogError), cleared_on_failure(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
         with replaced(path) as temporary:
             yield temporary
@@ -188,6 +189,7 @@ def export(
     folder = output.parent if kind is Format.NPZ else output
     path, spools = output, dict[str, Spool]()
     with failing("cannot be written", output, LogError), contextlib.ExitStack() as stack:
+        stack.enter_context(cleared_on_failure(folder))
         folder.mkdir(parents=True, exist_ok=True)
         temporary = stack.enter_context(tempfile.TemporaryDirectory(dir=folder, prefix=".export."))
         for piece in (recording,) if isinstance(recording, Recording) else recording:
@@ -384,8 +386,10 @@ def _channels(recording: Recording) -> Table:
     ]
     # Channels change at different times, but a table is sorted by time.
     rows.sort(key=lambda row: row[0])
+    times = np.array([row[0] for row in rows], dtype=np.float64)
     return {
-        "t": np.array([row[0] for row in rows], dtype=np.float64),
+        "t": times,
+        "wall_ns": recording.start + np.rint(times * SECOND).astype(np.int64),
         "channel": np.array([row[1] for row in rows], dtype=np.str_),
         "index": np.array([row[2] for row in rows], dtype=np.int64),
         "value": np.array([row[3] for row in rows], dtype=np.float64),
@@ -403,12 +407,12 @@ def _touch(recording: Recording) -> Table:
     rows.sort(key=lambda row: row[0])
     texts = {"device": 1, "sensor": 2, "unit": 3}
     table: Table = {"t": np.array([row[0] for row in rows], dtype=np.float64)}
+    table["wall_ns"] = np.array([each.wall[k] for *_, k, each in rows], dtype=np.int64)
     table |= {name: np.array([row[i] for row in rows], dtype=np.str_) for name, i in texts.items()}
     table["stale"] = np.array([row[4] for row in rows], dtype=bool)
     table["total"] = np.array([each.totals[k, i] for *_, i, k, each in rows], dtype=np.float64)
     taxels = (each.state(k).of(name).tolist() for _, _, name, _, _, _, k, each in rows)
-    texts_of_taxels = [" ".join(f"{value:g}" for value in values) for values in taxels]
-    table["taxels"] = np.array(texts_of_taxels, dtype=np.str_)
+    table["taxels"] = np.array([_text(values) for values in taxels], dtype=np.str_)
     return table
 
 

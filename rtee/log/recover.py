@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -24,6 +24,9 @@ from rtee.log.rotation import OPEN, being_written
 from rtee.messages import topics
 from rtee.messages.codec import SECOND
 from rtee.messages.mcap_chunk import HEAD
+
+_BLOCK: Final = 1 << 20
+"""Bytes that are copied at once, which bounds the memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +86,8 @@ def recover(
         if target.exists() and not in_place:
             raise LogError("exists already; give another file with --out", path=target)
         if whole:
-            shutil.copyfile(path, target)
+            with _written(target) as temporary, temporary.open("wb") as copy:
+                copy.writelines(_blocks(path, stream))
             return _report(content, target, 0, untouched=True)
         if content.loose:
             raise LogError(
@@ -91,7 +95,9 @@ def recover(
                 "them",
                 path=path,
             )
-        with failing("cannot be written", target, LogError), replaced(target) as temporary:
+        if not (content.chunks or content.channels or content.attachments or content.metadata):
+            raise LogError("contains nothing to recover", path=path)
+        with _written(target) as temporary:
             file = McapFile(temporary, _preamble(content), sync=False)
             try:
                 for chunk in _chunks(content, stream):
@@ -103,6 +109,21 @@ def recover(
     done = _report(index_file(target), target, damaged, untouched=False, lost=lost)
     lasting = tuple(note for note in content.damage if note not in content.repairable)
     return replace(done, damage=lasting, left_out=content.repairable)
+
+
+@contextlib.contextmanager
+def _written(target: Path) -> Iterator[Path]:
+    """Yield a path whose file replaces the target, as `replaced`; raises `LogError`."""
+    with failing("cannot be written", target, LogError), replaced(target) as temporary:
+        yield temporary
+
+
+def _blocks(path: Path, stream: BinaryIO) -> Iterator[bytes]:
+    """Yield the content of an open file; raises `LogError` if it cannot be read."""
+    with failing("cannot be read", path, LogError):
+        stream.seek(0)
+        while block := stream.read(_BLOCK):
+            yield block
 
 
 def _report(
@@ -137,7 +158,8 @@ def _chunks(file: FileIndex, stream: BinaryIO) -> Iterator[PackedChunk]:
     except LogError:  # a recording of other software
         digest = None
     for place in file.chunks:
-        content = place.record.read(stream)
+        with failing("cannot be read", file.path, LogError):
+            content = place.record.read(stream)
         try:
             data, chunk = messages_of(content)
         except DamagedRecordError:

@@ -236,6 +236,7 @@ def test_every_topic_is_a_table(recording: Recording) -> None:
     assert set(found) == set(TABLES) - MISSING
     for table in found.values():
         assert len({len(column) for column in table.values()}) == 1
+        assert (table["wall_ns"] - recording.start == np.rint(table["t"] * 1e9)).all()
     states_table = found["actuator_states"]
     assert states_table["position.second"][30] == tick(30).position[1]
     assert states_table["tick"].tolist() == list(range(200))
@@ -287,7 +288,8 @@ def test_npz_needs_no_pickle(recording: Recording, tmp_path: Path) -> None:
 
 def test_what_cannot_be_exported_is_said(recording: Recording, tmp_path: Path) -> None:
     with pytest.raises(LogError, match="nothing to export"):
-        export(replace(recording, goals=()), tmp_path, Format.CSV, ["goals"])
+        export(replace(recording, goals=()), tmp_path / "new" / "out", Format.CSV, ["goals"])
+    assert list(tmp_path.iterdir()) == [], "no folder is left"
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(LogError, match="cannot be written"):
         export(recording, tmp_path / "file" / "x.npz", Format.NPZ)

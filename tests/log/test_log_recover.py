@@ -1,13 +1,16 @@
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
@@ -17,7 +20,9 @@ from rtee.errors import LogError
 from rtee.hand.model import Hand
 from rtee.log import read
 from rtee.log.file_index import index_file
+from rtee.log.record_scanner import Record
 from rtee.log.recover import recover
+from rtee.messages.mcap_chunk import MAGIC
 from rtee.messages.typestore import typestore
 
 
@@ -93,7 +98,7 @@ def test_a_file_that_is_being_written_is_left_alone(claw: Hand, tmp_path: Path) 
     assert len(read(path).reference) == 200
 
 
-@pytest.mark.parametrize("content", [b"", b"nonsense", None])
+@pytest.mark.parametrize("content", [b"", b"nonsense", MAGIC, MAGIC + MAGIC, None])
 def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes | None) -> None:
     path = tmp_path / "file.mcap"
     if content is not None:
@@ -108,6 +113,30 @@ def test_a_place_that_cannot_be_written_is_said(story: Path, tmp_path: Path) -> 
     path.write_bytes(story.read_bytes()[:-100])
     with pytest.raises(LogError, match=r"missing/out\.mcap: cannot be written: no such file"):
         recover(path, tmp_path / "missing" / "out.mcap")
+    path.write_bytes(story.read_bytes())
+    with pytest.raises(LogError, match=r"missing/out\.mcap: cannot be written: no such file"):
+        recover(path, tmp_path / "missing" / "out.mcap")
+
+
+def test_a_source_that_cannot_be_read_is_named(
+    story: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(story.read_bytes()[:-100])
+    read_of, reads = Record.read, []
+
+    def fail(record: Record, stream: BinaryIO, most: int | None = None) -> bytes:
+        if isinstance(record, Record) and record.opcode == Opcode.CHUNK and most is None:
+            reads.append(record)
+            if len(reads) > 2 * len(index.chunks):  # as soon as they are copied
+                raise OSError(errno.EIO, "input/output error")
+        return read_of(record, stream, most)
+
+    index = index_file(path)
+    monkeypatch.setattr(Record, "read", fail)
+    with pytest.raises(LogError, match=r"cut\.mcap: cannot be read: input/output error"):
+        recover(path)
+    assert [each.name for each in tmp_path.iterdir()] == ["cut.mcap"]
 
 
 CHILD = """

@@ -134,6 +134,9 @@ async def test_a_run_with_taxels_is_recorded_and_comes_out_again(
     table = tables(found, ["touch"])["touch"]
     assert set(table["sensor"]) == {"thumb_pad", "skin", "index_pad"}
     assert sorted({text.count(" ") for text in table["taxels"].tolist()}) == [0, 2, 3]
+    told = [float(text) for texts in table["taxels"].tolist() for text in texts.split(" ")]
+    assert sorted(told) == sorted(series.values.ravel().tolist()), "every bit is in it"
+    assert set(table["wall_ns"]) == set(series.wall)
     drawn = figure(found)
     assert [row.unit for row in drawn.rows][-2:] == ["N", "counts"]
     assert drawn.rows[-2].positions[0].values.max() == pytest.approx(0.63)
