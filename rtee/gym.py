@@ -22,14 +22,18 @@ import numpy as np
 from gymnasium.spaces import Box, Dict
 
 from rtee.commands import BeginStream, StreamSample
+from rtee.drivers.mujoco.objects import MESHES
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import pose_vector
 from rtee.errors import ConfigError, SimulationUnstable
+from rtee.hand.validation import Invalid, validated
+from rtee.objects.shape import parse_object
 from rtee.sample import FloatArray
 from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand
+from rtee.values import number
 
 log = logging.getLogger(__name__)
 
@@ -121,11 +125,21 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
         """
         if task not in (*Task,):
             raise ConfigError(f"unknown task '{task}'; valid: {', '.join(Task)}")
+        if render_mode is not None:
+            raise ConfigError(
+                f"this environment draws nothing: render_mode is {render_mode!r:.100}"
+            )
+        parse_object(object, MESHES)  # an empty text would be no object
+        plain = number(mass)
+        given = {"object": object, "object_mass": mass if plain is None else plain}
+        try:
+            options = validated(SimOptions, {**given, "support": "held", "carrier": "lift"})
+        except Invalid as error:
+            raise ConfigError(f"the mass of the object {error.sentence}") from None
         self.render_mode = render_mode
         self._task = Task(task)
         self._bench = bench(str(hand), _LOOP)
         self._model = self._bench.hand
-        options = SimOptions(object=object, object_mass=mass, support="held", carrier="lift")
         period = self._bench.settings.period
         self._simulation = make_simulation(self._model, options, self._model.actuator_names, period)
         for doubt in self._simulation.doubts:
@@ -183,12 +197,15 @@ class HandEnv(gymnasium.Env[dict[str, FloatArray], FloatArray]):  # type: ignore
         headless = self._headless
         if headless is None:
             raise ConfigError("call reset() to begin an episode")
-        given = np.asarray(action, dtype=np.float64)
+        wrong = ConfigError(
+            f"an action must be {len(self._lower)} finite numbers from -1 to 1, one per actuator"
+        )
+        try:
+            given = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise wrong from None
         if given.shape != self.action_space.shape or not np.isfinite(given).all():
-            raise ConfigError(
-                f"an action must be {len(self._lower)} finite numbers from -1 to 1, one per "
-                "actuator"
-            )
+            raise wrong
         share = 0.5 + 0.5 * np.clip(given, -1.0, 1.0)
         targets = dict(
             zip(

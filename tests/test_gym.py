@@ -62,7 +62,27 @@ def test_an_object_for_which_the_hand_has_no_room_is_told(
     assert "wsg50: 'sphere:0.1' overlaps the open hand wherever it is put" in caplog.text
 
 
-@pytest.mark.parametrize("action", [[0.0, 0.0], [np.nan], 0.0])
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"mass": np.nan}, "the mass of the object should be a finite number, not nan"),
+        ({"mass": -1}, "the mass of the object should be greater than 0, not -1"),
+        ({"mass": "100g"}, "the mass of the object should be a valid number, not '100g'"),
+        ({"object": None}, "an object is a shape, such as sphere:0.03, not None"),
+        ({"object": ""}, "'' is not an object"),
+        ({"render_mode": "human"}, "draws nothing: render_mode is 'human'"),
+    ],
+)
+def test_an_environment_that_makes_no_sense_is_refused(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        HandEnv("wsg50", **given)
+
+
+def test_numbers_of_numpy_are_masses() -> None:
+    assert HandEnv("wsg50", mass=np.float32(0.2)).reset(seed=1)[1] == {"success": False}
+
+
+@pytest.mark.parametrize("action", [[0.0, 0.0], [np.nan], 0.0, ["a"], None, [None], {}])
 def test_an_action_without_sense_is_refused(action: Any) -> None:
     env = HandEnv("wsg50")
     with pytest.raises(ConfigError, match="reset"):

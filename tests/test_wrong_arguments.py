@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
+from dataclasses import asdict
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import rtee
@@ -50,6 +53,9 @@ def library() -> ActionLibrary:
         ),
         (lambda: rtee.Trial("Grasp", mass=-1.0), "the mass of a trial must be from 1e-06 to 100"),
         (lambda: rtee.Trial("Grasp", places="x"), "the places of a trial must be at least 1, not"),
+        (lambda: rtee.Trial("Grasp", places=1.5), "places of a trial must be whole, not 1.5"),
+        (lambda: rtee.Trial("Grasp", mass=None), "the mass of a trial must be from .*, not None"),
+        (lambda: rtee.Trial("Grasp", seed=None), "seed of a trial must be at least 0, not None"),
         (lambda: rtee.Trial("Grasp", intensity=math.nan), "the intensity of a trial must be from"),
         (lambda: parse_object(3, ()), "an object is a shape, such as sphere:0.03, not 3"),
         (lambda: Table(3), "a table's normal must be three finite numbers, not 3"),
@@ -102,6 +108,12 @@ def test_a_plan_says_what_it_needs(options: dict[str, Any], said: str) -> None:
     pytest.importorskip("coal", reason="needs the extra extract")
     with pytest.raises(UserError, match=said):
         rtee.grasp_plan("robotiq_2f_85", **{"object": "sphere:0.03", **options})
+
+
+def test_a_trial_takes_numbers_of_numpy() -> None:
+    trial = rtee.Trial("Grasp", mass=np.float32(0.5), seed=np.int64(3), places=2.0)
+    assert json.loads(json.dumps(asdict(trial)))["seed"] == 3, "it is sent as JSON"
+    assert trial == rtee.Trial("Grasp", mass=0.5, seed=3, places=2)
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ from rtee.retarget.human import (
 from rtee.retarget.layouts import LAYOUTS, Layout, Side, layout_named, side_named
 from rtee.retarget.tips import Row, Tips, limits_of
 from rtee.sample import FloatArray
+from rtee.values import number
 
 TOUCHING: Final = 0.018
 """Distance between two tracked human tips that touch [m]: half a finger's thickness each."""
@@ -429,13 +430,14 @@ class Retargeter:
                 layout's unit, of the other hand, or not later than the last frame. The positions
                 then stay as they were.
         """
-        if not (math.isfinite(stamp) and stamp > self._stamp):
+        time = number(stamp)
+        if time is None or not (math.isfinite(time) and time > self._stamp):
+            said = repr(stamp)[:100] if time is None else f"{time:g} s"
             raise TrackingError(
-                f"a frame's stamp must be later than the last one's, {self._stamp:g} s, "
-                f"not {stamp:g} s"
+                f"a frame's stamp must be later than the last one's, {self._stamp:g} s, not {said}"
             )
         if points is not None:
-            self._see(self._read(points), stamp)
+            self._see(self._read(points), time)
         return dict(zip(self.hand.actuator_names, self._u.tolist(), strict=True))
 
     def _read(self, given: object) -> FloatArray:

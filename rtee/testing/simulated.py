@@ -21,13 +21,15 @@ from rtee.actions.types import ActionReference
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_time import SimulatedTimeLoop
 from rtee.drivers.registry import find_driver
-from rtee.errors import NotReady
+from rtee.errors import NoHand, NotReady
 from rtee.hand.load import hand_folder
 from rtee.hand.model import Hand
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop, drive
 from rtee.loop.observer import Observer
+from rtee.loop.plan import Plan
 from rtee.messages.goals import GOAL
+from rtee.messages.state import State, decode_state
 from rtee.remote.goal_values import (
     GoalOptions,
     GraspOptions,
@@ -41,8 +43,8 @@ from rtee.remote.goal_values import (
     spelled_out,
     touch_goal,
 )
+from rtee.remote.publishing import StateMessages
 from rtee.running.prepare import RunOptions, prepare
-from rtee.sample import TickRecord
 from rtee.testing.bench import EmulatedDevices, act
 from rtee.types import DeviceStatus, Event, Goal, Lifecycle, Result
 from rtee.units import TIME, quantity
@@ -90,12 +92,18 @@ class SimulatedHand(EmulatedDevices, Observer):
         ]
         self._loop = HandLoop(prepared.hand, prepared.library, prepared.settings, devices)
         self._loop.add_observer(self)
+        self._messages = StateMessages(prepared.hand)
+        self._ended = False
         self._end = asyncio.Event()
         self._life: asyncio.Task[None] | None = None
 
     def on_event(self, event: Event) -> None:
         """Store the event."""
         self.events.append(event)
+
+    def on_plan(self, plan: Plan, stamp: float) -> None:
+        """Keep the plan's grip, by which states report opening and force."""
+        self._messages.grip = plan.grip
 
     # --- its life
 
@@ -104,10 +112,13 @@ class SimulatedHand(EmulatedDevices, Observer):
         self._run(self._begin())
 
     def close(self) -> None:
-        """End the hand, its devices and its time."""
+        """End the hand, its devices and its time; may be called more than once."""
+        if self._ended:
+            return
         try:
             self._run(self._finish())
         finally:
+            self._ended = True
             _apart(self._runner.close)
 
     async def _begin(self) -> None:
@@ -152,6 +163,9 @@ class SimulatedHand(EmulatedDevices, Observer):
         return all(each.lifecycle is Lifecycle.ACTIVE for each in self._loop.statuses())
 
     def _run(self, work: Coroutine[Any, Any, T]) -> T:
+        if self._ended:
+            work.close()  # otherwise Python warns that nobody awaited it
+            raise NoHand(f"the simulated hand '{self.name}' has ended; begin another one")
         return _apart(lambda: self._runner.run(work))
 
     # --- goals
@@ -219,9 +233,9 @@ class SimulatedHand(EmulatedDevices, Observer):
         """Let simulated time pass [s]; raises `GoalRejected` for anything but a time."""
         self._run(asyncio.sleep(quantity(seconds, TIME, "time to wait")))
 
-    def state(self) -> TickRecord:
-        """Return the state measured at the last tick."""
-        return self._loop.snapshot()
+    def state(self) -> State:
+        """Return the state of the last tick, as `RemoteHand.state` does."""
+        return decode_state(self._messages.state(self._loop.snapshot()))
 
     def status(self) -> list[DeviceStatus]:
         """Return the status of all devices."""

@@ -43,7 +43,11 @@ _RANGES: Final = (
     ("choosing", 0, math.inf),
     ("wanted", 0.0, 1.0),
 )
-"""The numbers of a trial, with their least and largest value."""
+"""The numbers of a trial, with their least and largest value; a least one without a decimal point
+belongs to a whole number."""
+
+_OPTIONAL: Final = ("friction", "wanted")
+"""Those that may be ``None``."""
 
 
 def mass_of(shape: str) -> float:
@@ -70,7 +74,7 @@ class Trial:
             the rate lies to one side of it; ``None``: all are tried.
 
     Raises:
-        ConfigError: if a number is out of its range.
+        ConfigError: if a number is out of its range, or a whole one is not whole.
     """
 
     action: str
@@ -87,11 +91,17 @@ class Trial:
 
     def __post_init__(self) -> None:
         for name, least, most in _RANGES:
-            value = getattr(self, name)
+            value, whole = getattr(self, name), isinstance(least, int)
+            if value is None and name in _OPTIONAL:
+                continue
             plain = number(value)
-            if value is not None and (plain is None or not least <= plain <= most):
+            if plain is None or not least <= plain <= most:
                 limits = f"from {least:g} to {most:g}" if most < math.inf else f"at least {least:g}"
                 raise ConfigError(f"the {name} of a trial must be {limits}, not {value!r:.100}")
+            if whole and not plain.is_integer():
+                raise ConfigError(f"the {name} of a trial must be whole, not {value!r:.100}")
+            # A trial is sent to other processes as JSON, which has no numbers of NumPy.
+            object.__setattr__(self, name, int(value) if whole else plain)
 
     @property
     def what(self) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -105,9 +107,11 @@ WITH_NAN[7, 1] = np.nan
         ("nonsense", 2.0, "rows of 3 numbers"),
         (HUMAN.points(), 0.5, "later than the last"),
         (HUMAN.points(), np.nan, "later than the last"),
+        (HUMAN.points(), "2", "later than the last one's, .*, not '2'"),
+        (HUMAN.points(), None, "later than the last one's, .*, not None"),
     ],
 )
-def test_bad_points_move_nothing(points: object, stamp: float, said: str) -> None:
+def test_bad_points_move_nothing(points: object, stamp: Any, said: str) -> None:
     retargeter = Retargeter.of("leap_hand")
     before = held(retargeter, HUMAN.points((0.3,) * 5), 0.0)
     with pytest.raises(TrackingError, match=said):

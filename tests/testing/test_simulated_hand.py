@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from rtee.errors import ConfigError, GoalRejected, MessageError
+import rtee
+from rtee.errors import ConfigError, GoalRejected, MessageError, NoHand
 from rtee.testing.simulated import StartSimulatedHand
 from rtee.types import Goal, Named
 
@@ -29,6 +30,26 @@ def test_a_part_is_pulled_out_and_the_cable_too(rtee_simulated_hand: StartSimula
     assert hand.open().reached
     with pytest.raises(ConfigError, match="unknown fault 'rust'"):
         hand.fault("rust")
+
+
+def test_a_state_is_the_one_that_a_client_gets(rtee_simulated_hand: StartSimulatedHand) -> None:
+    hand = rtee_simulated_hand("robotiq_2f_85", object="50mm")
+    assert hand.state().opening is None, "no goal has told which fingers count"
+    result = hand.grasp("50mm", force="40N")
+    state = hand.state()
+    assert state.opening == pytest.approx(result.opening, abs=1e-3)
+    assert state.positions == pytest.approx(result.position, abs=0.01)
+    assert list(state.observation()) == list(rtee.load_hand("robotiq_2f_85").observation_features)
+    assert len(state.joints) == 6
+
+
+def test_a_hand_that_has_ended_says_so() -> None:
+    with rtee.simulated("robotiq_2f_85") as hand:
+        pass
+    for call in (hand.open, hand.stop, lambda: hand.wait(1.0), lambda: hand.unplug()):
+        with pytest.raises(NoHand, match="the simulated hand 'robotiq_2f_85' has ended"):
+            call()
+    hand.close()
 
 
 def test_only_simulated_time_passes(rtee_simulated_hand: StartSimulatedHand) -> None:
