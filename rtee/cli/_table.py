@@ -110,15 +110,7 @@ class TextTable:
             for column in zip(*flat, strict=True)
         ]
         right = [False] * (len(widths) - len(self.columns)) + [c.right for c in self.columns]
-        return [
-            (" " * _GAP)
-            .join(
-                cell.rjust(width) if ends else cell.ljust(width)
-                for cell, width, ends in zip(row, widths, right, strict=True)
-            )
-            .rstrip()
-            for row in flat
-        ]
+        return [_line(row, widths, right) for row in flat]
 
     def widths(self, width: int) -> list[int]:
         """Return the widths of the columns on a terminal of this width [characters].
@@ -166,6 +158,19 @@ class TextTable:
             # Rich would take words in brackets for markup in a plain string.
             grid.add_row(*map(Text, row.cells), style="dim" if row.faint else "")
         return grid
+
+
+def _line(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:
+    """Return cells in columns of some widths, aligned to the right or left.
+
+    A cell that is too long moves the next ones only as far as these have no room to spare.
+    """
+    line, column = "", 0
+    for cell, width, ends in zip(cells, widths, right, strict=True):
+        begin = column + width - len(cell) if ends else column
+        line = line.ljust(max(begin, len(line) + _GAP if line else 0)) + cell
+        column += width + _GAP
+    return line.rstrip()
 
 
 def table_of(

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.errors import ConfigError
+from rtee.errors import ConfigError, ModelError
 from rtee.sample import FloatArray
 from rtee.values import number
 
@@ -164,6 +164,36 @@ def mesh_parts(faces: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
         label = spread
     of_face = label[faces[:, 0]]
     return [faces[of_face == one] for one in np.unique(of_face)]
+
+
+def check_thick(
+    corners: NDArray[np.floating], parts: Sequence[NDArray[np.int64]], path: Path
+) -> None:
+    """Check that no part of a mesh is thinner than the thinnest shape may be.
+
+    Args:
+        corners: Corners of the mesh ``(v, 3)`` [m].
+        parts: The triangles of each of its parts, as indices of corners ``(t, 3)``.
+        path: Its file, for the message.
+
+    Raises:
+        ModelError: if one is thinner.
+    """
+    if flat := sum(_thickness(corners[np.unique(part)]) < SMALLEST for part in parts):
+        which = f"{flat} of {len(parts)} parts of the mesh are" if parts[1:] else "the mesh is"
+        raise ModelError(
+            f"{which} flat; only what is at least {SMALLEST:g} m thick has sides to grasp",
+            path=path,
+        )
+
+
+def _thickness(points: NDArray[np.floating]) -> float:
+    """Return the least extent of points ``(k, 3)`` along their principal axes [m]."""
+    if len(points) < 4:
+        return 0.0
+    middled = np.asarray(points, dtype=np.float64) - points.mean(axis=0)
+    _, axes = np.linalg.eigh(middled.T @ middled)
+    return float(np.ptp(middled @ axes, axis=0).min())
 
 
 def signed_volume(triangles: FloatArray) -> float:

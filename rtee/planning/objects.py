@@ -26,6 +26,7 @@ from rtee.objects.shape import (
     MOST_PARTS,
     NUMBERS,
     SMALLEST,
+    check_thick,
     drill_parts,
     mesh_parts,
     open_mesh,
@@ -243,6 +244,7 @@ def _mesh(path: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[str, ...]]
             f"the mesh has {len(parts)} separate parts; the planner takes at most {MOST_PARTS}",
             path=path,
         )
+    check_thick(corners, parts, path)
     pieces, hollow = [], 0
     for points, sides in convex_solids(corners, parts):
         shape = hull_of(points)

@@ -7,7 +7,7 @@ import pytest
 from rtee_process import RTEE
 
 from rtee.cli import _table
-from rtee.cli._table import Column, Row, TextTable, on_terminal, prefix_to_drop
+from rtee.cli._table import Column, Row, TextTable, on_terminal, prefix_to_drop, table_of
 
 LONG = "a remark of many words that no narrow terminal shows on a line of its own"
 
@@ -45,6 +45,19 @@ def test_elsewhere_than_on_a_terminal_a_row_is_a_line(capsys: pytest.CaptureFixt
     ]
     starts = [line.index(what) for line, (*_, what) in zip(lines, columns, strict=True)]
     assert starts[0] == starts[1] == starts[2] < starts[3]
+
+
+def test_a_long_cell_shifts_only_what_has_no_room() -> None:
+    """The actions of a grasp plan: one name has two characters more than are padded."""
+    numbers = (Column("score", right=True), Column("intensity", right=True))
+    long = "MultiPinchTight_4 (index, middle, ring, thumb)"
+    rows = [(long, "0.84", "100%"), ("Trig (index)", "0.61", "7%"), ("x" * 44, "1.00", "12%")]
+    head, *lines = table_of(
+        (Column("action"), *numbers, Column("dynamics")), [Row((*row, "held")) for row in rows]
+    ).lines()
+    assert {line.index("held") for line in lines} == {head.index("dynamics")}
+    assert {line.index("%") for line in lines} == {head.index("intensity") + 8}
+    assert len(lines[0]) == len(lines[1])
 
 
 def test_elsewhere_the_heading_is_the_first_cell() -> None:

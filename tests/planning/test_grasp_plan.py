@@ -258,6 +258,37 @@ def test_an_open_mesh_is_told(library: ActionLibrary, tmp_path: Path) -> None:
         assert [p.label for p in ranking.plans] == [p.label for p in closed.plans]
 
 
+TRIANGLE = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.05, 0.0]]), np.array([[0, 1, 2]])
+SQUARE = np.array([*TRIANGLE[0], [0.05, 0.05, 0.0]]), np.array([[0, 1, 2], [1, 3, 2]])
+SHEET = box((0.05, 0.05, 5e-5))
+
+
+@pytest.mark.parametrize(
+    ("solids", "said", "plane"),
+    [
+        ([TRIANGLE], "the mesh is flat", True),
+        ([SQUARE], "the mesh is flat", True),
+        ([SHEET], "the mesh is flat", False),
+        ([TRIANGLE, box((0.04, 0.02, 0.03))], "1 of 2 parts of the mesh are flat", False),
+    ],
+)
+def test_what_is_flat_is_no_object_for_planner_and_simulation(
+    tmp_path: Path, solids: list[Triangles], said: str, plane: bool
+) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra sim")
+    from rtee.drivers.mujoco.objects import solid_parts
+
+    mesh = _stl(tmp_path / "flat.stl", *solids)
+    said = rf"flat\.stl: {said}; only what is at least 0\.0001 m"
+    with pytest.raises(ModelError, match=said):
+        read_object(str(mesh))
+    if plane:  # MuJoCo itself refuses it
+        assert solid_parts(str(mesh)) == ()
+    else:
+        with pytest.raises(ModelError, match=said):
+            solid_parts(str(mesh))
+
+
 @pytest.mark.parametrize("origin", [0.5, -0.5, 2.0])
 def test_a_mesh_may_have_its_origin_anywhere(
     library: ActionLibrary, tmp_path: Path, origin: float

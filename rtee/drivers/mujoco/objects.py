@@ -21,6 +21,7 @@ from rtee.objects.shape import (
     PLATE,
     TRIGGER_TRAVEL,
     ObjectShape,
+    check_thick,
     mesh_parts,
     motor_place,
     signed_volume,
@@ -97,7 +98,7 @@ def _add_solid(
 
 def _add_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, shape: ObjectShape, mass: float) -> None:
     """Add a mesh: the convex hull of each of its parts."""
-    parts = solid_parts(str(shape.path))
+    parts = solid_parts(str(shape.path), shape.scale)
     if len(parts) < 2:
         geom = _geom(body, OBJECT, mass)
         mesh = _read_mesh(spec, str(shape.path))
@@ -158,11 +159,14 @@ def _corners(path: str) -> FloatArray | None:
 
 
 @lru_cache(maxsize=4)
-def solid_parts(path: str) -> tuple[Solid, ...]:
-    """Return the solids of a mesh file; see `convex_solids`.
+def solid_parts(path: str, scale: float = 1.0) -> tuple[Solid, ...]:
+    """Return the solids of a mesh file, unscaled; see `convex_solids`.
 
     A mesh of more than `MOST_PARTS` parts counts as one solid; the result is empty if the mesh is
-    not solid.
+    not solid, as in a plane.
+
+    Raises:
+        ModelError: if a part of it is thinner than any object may be, at the scale.
     """
     probe = mujoco.MjSpec()
     _read_mesh(probe, path)
@@ -180,7 +184,9 @@ def solid_parts(path: str) -> tuple[Solid, ...]:
     parts = mesh_parts(place.reshape(-1)[faces], len(corners))
     first = np.unique(place, return_index=True)[1]
     whole = [place.reshape(-1)[faces]]
-    return tuple(convex_solids(corners[first], parts if len(parts) <= MOST_PARTS else whole))
+    used = parts if len(parts) <= MOST_PARTS else whole
+    check_thick(scale * corners[first], used, Path(path))
+    return tuple(convex_solids(corners[first], used))
 
 
 def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:

@@ -272,7 +272,7 @@ def _notes_on(shape: ObjectShape | None) -> list[str]:
     """Return the notes on the mesh of an object, if it has one."""
     if shape is None or shape.path is None:
         return []
-    parts = solid_parts(str(shape.path))
+    parts = solid_parts(str(shape.path), shape.scale)
     found = [note(*part) for note in (open_mesh, hollow_mesh) for part in parts]
     return [f"{shape.path.name}: {note}" for note in dict.fromkeys(found) if note]
 
