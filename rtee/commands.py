@@ -132,7 +132,7 @@ class BeginStream:
 
 
 @dataclass(frozen=True, slots=True)
-class StreamSample:
+class StreamSample(Value):
     """A sample of a stream, as sent and as resolved for the actuators.
 
     Attributes:
@@ -185,7 +185,7 @@ Command = (
 
 
 @dataclass(frozen=True, slots=True)
-class CommandRecord:
+class CommandRecord(Value):
     """A command with the tick at which it took effect, before the tick's reference.
 
     Attributes:

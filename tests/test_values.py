@@ -14,6 +14,7 @@ import pytest
 
 from rtee import errors
 from rtee.actions.library import load_actions
+from rtee.commands import CommandRecord, StreamSample
 from rtee.messages.state import State
 from rtee.sample import COLUMNS
 from rtee.types import DeviceStatus, Event, Feedback, Lifecycle, Result
@@ -40,13 +41,14 @@ VALUES = [
     lambda: Feedback("1", 0.5),
     lambda: Event("mark", "me", "here", 1.0),
     lambda: DeviceStatus("d", "kinematic", Lifecycle.ACTIVE),
+    lambda: CommandRecord(3, 1.0, StreamSample("s", 1.0, 1.0, {}, {}, {"a": 1.0}, {"a": np.nan})),
     lambda: load_actions("schunk_svh").find("PinchTight", ("index", "thumb")),
 ]
 
 
 @pytest.mark.filterwarnings("ignore:invalid value encountered in cast")
 @pytest.mark.parametrize(
-    "make", VALUES, ids=["state", "result", "feedback", "event", "device", "action"]
+    "make", VALUES, ids=["state", "result", "feedback", "event", "device", "command", "action"]
 )
 def test_a_value_can_be_kept(make: object) -> None:
     value = make()  # type: ignore[operator]

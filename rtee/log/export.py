@@ -270,9 +270,11 @@ def to_pandas(recording: Recording, topic: str = topics.ACTUATOR_STATES) -> pand
         are named ``position.<actuator>`` and so on; without messages there are no rows.
 
     Raises:
-        LogError: if there is no such topic.
+        LogError: if there is no such topic, or no recording.
         MissingExtra: if pandas is not installed.
     """
+    if not isinstance(recording, Recording):
+        raise LogError(f"a table is made of what rtee.log.read returns, not of {recording!r:.100}")
     with needing_extra("a table of pandas", "pandas"):
         import pandas
     return pandas.DataFrame(tables(recording, [topic]).get(topic, {"t": []})).set_index("t")

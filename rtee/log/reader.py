@@ -13,6 +13,7 @@ import numpy as np
 
 from rtee.errors import GoalRejected, LogError, MessageError
 from rtee.hand.files import failing
+from rtee.hand.names import listed
 from rtee.log import column_reader
 from rtee.log.brief import Brief, actuators_of, brief, check_hands
 from rtee.log.file_index import (
@@ -121,7 +122,10 @@ def windows(
 
 
 def _wanted(only: Iterable[str] | None) -> set[str]:
-    wanted = set(topics.TYPES) - topics.FOR_VIEWERS if only is None else set(only)
+    if only is None:
+        wanted = set(topics.TYPES) - topics.FOR_VIEWERS
+    else:
+        wanted = set(listed(only, "topics", LogError))
     unknown = wanted - set(topics.TYPES)
     if unknown:
         raise LogError(f"unknown topics {sorted(unknown)}; valid: {sorted(topics.TYPES)}")

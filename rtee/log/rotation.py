@@ -182,10 +182,16 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -> list[Path]:
-    """Return the files that `read` would read; `LogError` if a folder holds no recording."""
+    """Return the files that `read` would read.
+
+    Raises:
+        LogError: if a folder holds no recording, or the path is no path.
+    """
     if not isinstance(path, (str, Path)):
         if not path:
             raise LogError("give a recording")
+        if not isinstance(path, Sequence) or not all(isinstance(p, (str, Path)) for p in path):
+            raise LogError(f"a recording is a path, or a list of paths, not {path!r:.100}")
         return [Path(each) for each in path]
     path = Path(path)
     if path.is_dir():

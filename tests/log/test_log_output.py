@@ -276,6 +276,8 @@ def test_a_recording_becomes_a_table_of_pandas(recording: Recording) -> None:
     assert list(to_pandas(recording, "results")["outcome"])
     with pytest.raises(LogError, match="unknown topic 'result'; did you mean 'results'"):
         to_pandas(recording, "result")
+    with pytest.raises(LogError, match=r"what rtee\.log\.read returns, not of 'run\.mcap'"):
+        to_pandas("run.mcap")  # type: ignore[arg-type]
     assert len(repr(recording)) <= 240
 
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import random
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -161,6 +162,15 @@ def test_only_what_is_asked_for_is_read(story: Path) -> None:
     assert len(recording.joint_states) == len(recording.goals) == 0
     with pytest.raises(LogError, match="unknown topics"):
         read(story, only=["referenz"])
+    for only in ("reference", 3, [3]):
+        with pytest.raises(LogError, match="the topics must be a list of names"):
+            read(story, only=only)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("path", [3, [3], {"a": 1}, b"x.mcap"])
+def test_what_is_no_path_is_no_recording(path: Any) -> None:
+    with pytest.raises(LogError, match="a recording is a path, or a list of paths, not"):
+        read(path)
 
 
 def test_index_by_name(story: Path) -> None:
