@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 import zipfile
 from collections.abc import (
@@ -16,17 +17,20 @@ from collections.abc import (
 )
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 from typing import Any, Final
 
 import anyio
 import numpy as np
 
 from rtee import monotonic
-from rtee.errors import LogError, UserError
+from rtee.errors import GoalRejected, LogError, UserError
 from rtee.hand.files import reason
 from rtee.retarget.layouts import Layout, Side, layout_named
-from rtee.retarget.retargeter import Retargeter
+from rtee.retarget.retargeter import Retargeter, TrackingError
 from rtee.sample import FloatArray
+
+log = logging.getLogger(__name__)
 
 Send = Callable[[Mapping[str, float], float], Awaitable[None]]
 """Sends positions by actuator [rad | m], and their time [s]."""
@@ -39,6 +43,41 @@ _LONGEST: Final = 65536
 
 _LARGEST: Final = 200_000_000
 """Largest file [bytes]: hours of frames."""
+
+
+_MOST_LEFT_OUT: Final = 30
+"""Most frames in a row that are left out: those of a second of a webcam."""
+
+
+class Patience:
+    """Leaves out single frames of a tracker that cannot be used, each in a block of its own.
+
+    An error of one of the given classes ends a block quietly, unless it is the first block, where
+    it shows a wrong layout or unit, or one of more than 30 in a row.
+    """
+
+    def __init__(self, *errors: type[UserError]) -> None:
+        self._errors = errors
+        self._began = False
+        self._row = 0
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool:
+        if error is None:
+            self._began, self._row = True, 0
+            return False
+        self._row += 1
+        if not (self._began and isinstance(error, self._errors) and self._row <= _MOST_LEFT_OUT):
+            return False
+        if self._row == 1:
+            log.warning("%s; left out", error)
+        return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,9 +248,16 @@ async def due(frames: Sequence[TrackerFrame]) -> AsyncIterator[TrackerFrame]:
 
 
 async def live(lines: AsyncIterable[str], reader: FrameReader) -> AsyncIterator[TrackerFrame]:
-    """Yield the frames in lines as they arrive; raises `LogError` for an invalid line."""
+    """Yield the frames in lines as they arrive.
+
+    Raises:
+        LogError: if the first line is not valid, or more than 30 in a row; fewer are left out.
+    """
+    patience = Patience(LogError)
     async for line in lines:
-        frame = reader.read(line)
+        frame = None
+        with patience:
+            frame = reader.read(line)
         if frame is not None:
             yield frame
 
@@ -220,15 +266,18 @@ async def follow(frames: AsyncIterable[TrackerFrame], retargeter: Retargeter, se
     """Send the positions for each frame, and return how many were sent.
 
     Nothing is sent until a hand is found. While the hand is lost, the last positions are sent
-    again.
+    again. Frames that cannot be followed are left out, such as those after a jump of the clock.
 
     Raises:
-        TrackingError: if the points are not those of the expected hand.
+        TrackingError: if the first points are not those of the expected hand, or more than 30 in a
+            row.
+        GoalRejected: if the hand refuses as many.
     """
-    sent = 0
+    sent, patience = 0, Patience(TrackingError, GoalRejected)
     async for frame in frames:
         if frame.points is None and not sent:
             continue
-        await send(retargeter.step(frame.points, frame.stamp), frame.stamp)
-        sent += 1
+        with patience:
+            await send(retargeter.step(frame.points, frame.stamp), frame.stamp)
+            sent += 1
     return sent

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,10 @@ from typer.testing import CliRunner
 from rtee.cli._common import app_of
 from rtee.cli.retarget import retarget
 from rtee.cli.teleop import teleop
-from rtee.errors import LogError, UserError
+from rtee.errors import GoalRejected, LogError, UserError
 from rtee.hand.catalog import find_hand
 from rtee.retarget import LAYOUTS, Retargeter, Side
-from rtee.retarget.frames import read_frames
+from rtee.retarget.frames import TrackerFrame, follow, read_frames
 from rtee.testing.human_hand import HumanHand
 
 __all__ = ["served"]
@@ -73,6 +73,42 @@ def test_a_line_without_sense_moves_nothing(tmp_path: Path, line: str, said: str
     with pytest.raises(LogError, match=said) as caught:
         run(teleop, "--landmarks", str(file))
     assert caught.value.line == 2
+
+
+BAD = {"t": 0.1, "points": [[0, 0, float("nan")]] * 21}
+
+
+def test_single_frames_without_sense_are_left_out_of_a_live_tracker(served: Served) -> None:
+    good = lines([HUMAN.points((c / 12,) * 5) for c in range(12)]).splitlines()
+    far = json.dumps({"t": 0.101, "points": (1e3 * HUMAN.points()).tolist()})
+    text = "\n".join([*good[:4], json.dumps(BAD), good[2], "junk", far, *good[4:]])
+    assert "12 frames followed" in run(teleop, "--landmarks", "-", given=text)
+
+
+@pytest.mark.parametrize("first", [[], lines([HUMAN.points()]).splitlines()])
+def test_a_tracker_without_sense_ends(served: Served, first: list[str]) -> None:
+    bad = [json.dumps(BAD)] * (1 if not first else 31)
+    with pytest.raises(LogError, match=r"the standard input:.*: is not valid: .* finite") as caught:
+        run(teleop, "--landmarks", "-", given="\n".join([*first, *bad]))
+    assert caught.value.line == len(first) + len(bad)
+
+
+@pytest.mark.anyio
+async def test_a_jump_of_the_clock_is_outlasted() -> None:
+    """The hand refuses a few samples, until it believes the new time."""
+    refused, sent = [5, 6, 7], list[float]()
+
+    async def send(targets: Mapping[str, float], stamp: float) -> None:
+        sent.append(stamp)
+        if len(sent) in refused:
+            raise GoalRejected("the stamp is 100 s ahead of those before")
+
+    async def frames() -> AsyncIterator[TrackerFrame]:
+        for k in range(10):
+            yield TrackerFrame(k / 30 + 100.0 * (k > 3), HUMAN.points())
+
+    assert await follow(frames(), Retargeter.of("leap_hand"), send) == 7
+    assert len(sent) == 10
 
 
 def test_points_need_no_actions_and_no_gamepad() -> None:

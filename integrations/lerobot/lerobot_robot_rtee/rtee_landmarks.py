@@ -16,7 +16,7 @@ from lerobot.utils.errors import DeviceNotConnectedError
 import rtee
 from lerobot_robot_rtee.uncalibrated import Uncalibrated
 from rtee import monotonic
-from rtee.errors import ConfigError, RteeError, needing_extra
+from rtee.errors import ConfigError, LogError, RteeError, needing_extra
 from rtee.messages.features import ObservedQuantity, feature
 
 
@@ -85,8 +85,8 @@ class RteeLandmarks(Uncalibrated, Teleoperator):
             UserError: The points or the hand can't be used.
         """
         with needing_extra("retargeting", "retarget"):
-            from rtee.retarget import Retargeter
-            from rtee.retarget.frames import FrameReader, TrackerFrame, read_frames
+            from rtee.retarget import Retargeter, TrackingError
+            from rtee.retarget.frames import FrameReader, Patience, TrackerFrame, read_frames
             from rtee.retarget.layouts import layout_named, side_named
         config = self.config
         layout, side = layout_named(config.layout), side_named(config.side)
@@ -105,21 +105,25 @@ class RteeLandmarks(Uncalibrated, Teleoperator):
 
         def coming() -> Iterator[TrackerFrame | None]:
             if live:
-                reader = FrameReader(layout, side, config.source)
+                reader, valid = FrameReader(layout, side, config.source), Patience(LogError)
                 with sys.stdin if config.source == "-" else path.open() as file:
-                    yield from map(reader.read, file)
+                    for line in file:
+                        with valid:
+                            yield reader.read(line)
             for frame in frames:
                 stamp = begin + frame.stamp - frames[0].stamp
                 ended.wait(max(0.0, stamp - monotonic.now()))
                 yield replace(frame, stamp=stamp)
 
         def follow() -> None:
+            patience = Patience(TrackingError)
             try:
                 for frame in coming():
                     if ended.is_set():
                         return
                     if frame is not None:
-                        self._newest = retargeter.step(frame.points, frame.stamp)
+                        with patience:
+                            self._newest = retargeter.step(frame.points, frame.stamp)
             except RteeError as error:
                 self._failed = error
 
