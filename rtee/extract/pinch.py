@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from rtee.actions.types import PrimitiveKind
 from rtee.extract.collision_free import SearchBudget, clear_postures, touching_postures
 from rtee.extract.collisions import CollisionChecker
@@ -93,9 +95,10 @@ class PinchSearch:
             return self._probed(starts, touching, space.posture(starts[0]))
         if self._could_meet():
             closest = self._closest([m.y for m in found.polished])
-            # Tips that meet only at their limits may touch only once the posture is rounded.
-            if pinch.touching(closest):
-                return self._probed((space.coordinates(closest),), (closest,), closest)
+            # Tips that meet only at their limits touch only there.
+            for u in (closest, self._at_limits(closest)):
+                if pinch.touching(u):
+                    return self._probed((space.coordinates(u),), (u,), u)
             return self._probed((), (closest,), closest)
         return None
 
@@ -166,6 +169,13 @@ class PinchSearch:
         # Distances also have kinks, where another pair of faces becomes the closest.
         end = polish(gap, best.y, evaluations=_EVALUATIONS)
         return gap.stored(min((best, end), key=lambda m: m.value).y)
+
+    def _at_limits(self, u: FloatArray) -> FloatArray:
+        """Return a posture, as stored, with actuators that are close to a limit exactly there."""
+        y = self._pinch.space.coordinates(u)
+        # The searches' lattice ends less than one unit before the limits.
+        near = FINE.coordinate
+        return self._pinch.stored(np.where(y < near, 0.0, np.where(y > 1.0 - near, 1.0, y)))
 
     def _contacts(self, pinch: GoalFunction, deep: Sequence[FloatArray]) -> list[FloatArray]:
         """Return coordinates at which the tips' original geometry touches, the deepest first.

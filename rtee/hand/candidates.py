@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -199,9 +200,9 @@ def one_motor(hand: Hand) -> OneMotor | None:
     a, b = hand.actuator(first.own[0]), hand.actuator(second.own[0])
     if (a.kind, a.velocity, a.effort) != (b.kind, b.velocity, b.effort):
         return None
-    u = 0.5 * (hand.lower + hand.upper)
-    if not np.isfinite(u).all():
+    if not all(math.isfinite(bound) for bound in (a.lower, a.upper, b.lower, b.upper)):
         return None
+    u = 0.5 * (hand.lower + hand.upper)
     poses, ways = [], []
     for tip, actuator in ((first.tip, a.name), (second.tip, b.name)):
         pose, jacobian = tip_pose_and_jacobian(hand, tip, u)

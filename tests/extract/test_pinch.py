@@ -90,6 +90,19 @@ def test_where_jaws_have_their_zero_decides_nothing(
     assert found.evidence[0].distance == pytest.approx(gap, abs=1e-7)
 
 
+def test_jaws_that_meet_only_at_their_limits_touch_there(tmp_path: Path) -> None:
+    """Two plates of pliers, which turn about one pin and lie flat on each other when closed."""
+    model = Model()
+    for name, side, limits in (("left", -1, (-1.0, 0.0)), ("right", 1, (0.0, 1.0))):
+        plate = box((0.002, 0.01, 0.04), (side * 0.001, 0, 0.03))
+        model.link(name, plate).finger(name, name)
+        model.joint(f"{name}_turn", "base", name, limits=limits)
+    found = pinches(model.load(tmp_path))["left", "right"]
+    assert found.name == "PinchTight"
+    assert dict(found.posture.position) == {"left_turn": 0.0, "right_turn": 0.0}
+    assert found.evidence[0].distance == 0.0
+
+
 def test_a_loose_pinch_is_the_closest_pose_within_the_limits(tmp_path: Path) -> None:
     model = planar(Model(), "a", side=1)
     planar(model, "b", side=-1)

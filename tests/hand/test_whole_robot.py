@@ -326,3 +326,10 @@ def test_jaws_of_different_limits_are_two_motors(tmp_path: Path) -> None:
     path.write_text(text)
     made = make_hand("told", path, into=tmp_path)
     assert not any("mirror each other" in note for note in made.notes)
+
+
+def test_jaws_that_turn_without_end_have_no_middle_to_mirror_at(tmp_path: Path) -> None:
+    path = tmp_path / "r.urdf"
+    path.write_text(jaws().text.replace('type="revolute"', 'type="continuous"'))
+    made = make_hand("told", path, into=tmp_path)
+    assert not any("mirror each other" in note for note in made.notes)
