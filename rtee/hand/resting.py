@@ -99,41 +99,50 @@ def closed_rest(geometry: HandGeometry) -> ClosedRest | None:
     # No better posture was found, so the hand is meant to be closed at rest.
     if min(openings) <= NEAR or sum(openings) <= sum(gaps):
         return None
-    rest = {
-        spec.name: float(value)
-        for spec, value in zip(hand.actuators, u, strict=True)
-        # Only values that differ from the default need to be in hand.yaml.
-        if value != spec.rest or spec.rest != min(max(0.0, spec.lower), spec.upper)
-    }
     names = tuple((hand.fingers[i].name, hand.fingers[j].name) for i, j in pairs)
-    return ClosedRest(names, max(gaps), rest, min(openings))
+    return ClosedRest(names, max(gaps), _rest_of(hand, u), min(openings))
 
 
 def widest_rest(geometry: HandGeometry) -> ClosedRest | None:
-    """Return the widest posture of a hand with one actuator whose rest is not given.
+    """Return the widest posture of a hand whose fingers one actuator moves, with no rest given.
 
     ``None`` if it rests there already, or its fingertips do not part. At 0, a claw is nearly
-    closed: `rtee open` would not open it, and its pinch would have no room to close.
+    closed: `rtee open` would not open it, and its pinch would have no room to close. Actuators that
+    move no fingertip, such as a model's own of a motor and its screw, stay where they rest.
 
     Raises:
         ModelError: if a mesh cannot be read.
     """
     hand, search = geometry.hand, _GapSearch(geometry)
     pairs = search.parted()
-    if len(hand.actuators) != 1 or not pairs:
+    moving = [a for a, spec in enumerate(hand.actuators) if spec.fingers]
+    if len(moving) != 1 or not pairs:
         return None
-    (spec,) = hand.actuators
+    spec = hand.actuators[moving[0]]
     bounded = math.isfinite(spec.lower) and math.isfinite(spec.upper)
     if not bounded or spec.rest != min(max(0.0, spec.lower), spec.upper):
         return None
     gaps = search.gaps(hand.rest, pairs)
-    tried = [np.array([value]) for value in np.linspace(spec.lower, spec.upper, _POSTURES)]
+    tried = []
+    for value in np.linspace(spec.lower, spec.upper, _POSTURES):
+        u = np.array(hand.rest)
+        u[moving] = value
+        tried.append(u)
     widest = max(tried, key=lambda u: sum(search.gaps(u, pairs)))
     openings = search.gaps(widest, pairs)
     if sum(openings) < sum(gaps) + NEAR:
         return None
     names = tuple((hand.fingers[i].name, hand.fingers[j].name) for i, j in pairs)
-    return ClosedRest(names, max(gaps), {spec.name: float(widest[0])}, min(openings))
+    return ClosedRest(names, max(gaps), _rest_of(hand, widest), min(openings))
+
+
+def _rest_of(hand: Hand, u: FloatArray) -> dict[str, float]:
+    """Return a rest posture ``(n,)`` for hand.yaml, without the values that hold in any case."""
+    return {
+        spec.name: float(value)
+        for spec, value in zip(hand.actuators, u, strict=True)
+        if value != spec.rest or spec.rest != min(max(0.0, spec.lower), spec.upper)
+    }
 
 
 Pair = tuple[int, int]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -47,6 +48,7 @@ _NO_AXIS: Final = 1e-9
 
 _KINDS: Final = ("revolute", "continuous", "prismatic", "fixed")
 _LIMITED: Final = ("revolute", "prismatic")
+_FREE: Final = ("floating", "planar")
 
 
 class Edit(Protocol):
@@ -66,11 +68,45 @@ def read_urdf(path: Path | str, edits: Sequence[Edit] = ()) -> Urdf:
     """
     root, text = read_xml(path, "URDF")
     _check_root(root)
+    afloat = _placing(root)
+    if afloat is not None:
+        still = replace(afloat, attributes={**afloat.attributes, "type": "fixed"})
+        root = replace(root, children=[still if c is afloat else c for c in root.children])
+        text = to_text(root)
     urdf = _urdf(root, text)
     for edit in edits:
         root = edit.of(root, urdf)
         urdf = _urdf(root, to_text(root))
+    if afloat is not None and (name := afloat.required("name")) in urdf.joints:
+        note = (
+            f"joint '{name}' (line {afloat.line} of {urdf.path.name}) is "
+            f"{afloat.required('type')}: it places the hand in the world, and is taken as fixed"
+        )
+        urdf = replace(urdf, unread=(note, *urdf.unread))
     return urdf
+
+
+def _placing(root: Element) -> Element | None:
+    """Return the floating or planar joint that carries a whole robot, if there is one.
+
+    Such a joint says where the robot stands in the world, which no part of a hand depends on.
+    """
+    ends = {
+        end: [
+            each.attributes.get("link", "").strip()
+            for joint in root.all("joint")
+            for each in joint.all(end)
+        ]
+        for end in ("parent", "child")
+    }
+    for joint in root.all("joint"):
+        parent = joint.first("parent")
+        if parent is None or joint.attributes.get("type", "").strip() not in _FREE:
+            continue
+        link = parent.attributes.get("link", "").strip()
+        if link not in ends["child"] and ends["parent"].count(link) == 1:
+            return joint
+    return None
 
 
 def _urdf(root: Element, text: str) -> Urdf:

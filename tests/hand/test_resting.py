@@ -8,6 +8,7 @@ import pytest
 
 from hand.conftest import MODELS
 from hand.models import FRANKA, GRIPPER, SRDF, anthropomorphic
+from hand.robots import JAW, PALM, Robot
 from rtee.actions.action_files import read_actions
 from rtee.actions.resting import pinch_at_rest
 from rtee.actions.types import Evidence, Posture, Primitive, PrimitiveKind
@@ -64,6 +65,18 @@ def test_a_claw_rests_at_its_widest(shared: Path) -> None:
     assert widest is not None
     assert widest.opened["gripper"] > 1.5
     assert widest.opening > widest.gap + 0.003
+
+
+def test_actuators_that_move_no_finger_leave_a_claw_its_widest(tmp_path: Path) -> None:
+    """As those of the motor's slider and screw in the model of a PR2's gripper."""
+    robot = Robot("claw").link("base", PALM)
+    for side, x, master in (("left", -0.02, ""), ("right", 0.02, "left_joint -1")):
+        robot.link(side, JAW)
+        robot.joint(f"{side}_joint", "base", side, (x, 0, 0.01), (0, -1, 0), mimic=master)
+    robot.link("slider").joint("slide", "base", "slider", (0, 0, -0.01), limits=(0.01, 0.1))
+    closed = closed_rest_of(load_model(robot.write(tmp_path)), narrow=True)
+    assert closed is not None
+    assert closed.opened == {"left_joint": 0.9}
 
 
 @pytest.mark.parametrize("name", MODELS)

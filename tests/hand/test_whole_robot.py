@@ -333,3 +333,25 @@ def test_jaws_that_turn_without_end_have_no_middle_to_mirror_at(tmp_path: Path) 
     path.write_text(jaws().text.replace('type="revolute"', 'type="continuous"'))
     made = make_hand("told", path, into=tmp_path)
     assert not any("mirror each other" in note for note in made.notes)
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+@pytest.mark.parametrize("root", [None, "base"])
+def test_a_joint_that_places_the_robot_in_the_world_stands_still(
+    root: str | None, kind: str, tmp_path: Path
+) -> None:
+    robot = jaws(Robot("free").link("world")).joint("places", "world", "base", kind=kind)
+    edits = [] if root is None else [Subtree(root)]
+    hand = load_model(robot.write(tmp_path), edits=edits)
+    assert hand.actuator_names == ("left_joint", "right_joint")
+    assert [f"is {kind}" in note for note in hand.notes if "'places'" in note] == (
+        [True] if root is None else []
+    )
+
+
+def test_other_joints_that_float_are_refused(tmp_path: Path) -> None:
+    robot = jaws().link("ball", box(0.01, 0.01, 0.01)).joint("flies", "base", "ball")
+    path = robot.write(tmp_path)
+    path.write_text(path.read_text().replace('"flies" type="revolute"', '"flies" type="floating"'))
+    with pytest.raises(ModelError, match="joint 'flies' has the type 'floating'"):
+        load_model(path)
