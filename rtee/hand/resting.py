@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from rtee.hand.limits import clamped
 from rtee.hand.model import Hand
 from rtee.hand.yamlfile import rest_line
 from rtee.sample import FloatArray
@@ -104,29 +105,30 @@ def closed_rest(geometry: HandGeometry) -> ClosedRest | None:
 
 
 def widest_rest(geometry: HandGeometry) -> ClosedRest | None:
-    """Return the widest posture of a hand whose fingers one actuator moves, with no rest given.
+    """Return the widest posture of a hand whose fingers close together, with no rest given.
 
-    ``None`` if it rests there already, or its fingertips do not part. At 0, a claw is nearly
-    closed: `rtee open` would not open it, and its pinch would have no room to close. Actuators that
-    move no fingertip, such as a model's own of a motor and its screw, stay where they rest.
+    Its fingers are moved by one actuator, or are two jaws that mirror each other. ``None`` if it
+    rests there already, or its fingertips do not part. At 0, a claw is nearly closed: `rtee open`
+    would not open it, and its pinch would have no room to close. Actuators that move no fingertip,
+    such as those of a motor's screw in some models, stay where they rest.
 
     Raises:
         ModelError: if a mesh cannot be read.
     """
     hand, search = geometry.hand, _GapSearch(geometry)
-    pairs = search.parted()
-    moving = [a for a, spec in enumerate(hand.actuators) if spec.fingers]
-    if len(moving) != 1 or not pairs:
+    pairs, factors = search.parted(), _together(hand)
+    specs = [hand.actuators[a] for a in factors]
+    if not pairs or not specs or any(s.rest != clamped(0.0, s.lower, s.upper) for s in specs):
         return None
-    spec = hand.actuators[moving[0]]
-    bounded = math.isfinite(spec.lower) and math.isfinite(spec.upper)
-    if not bounded or spec.rest != min(max(0.0, spec.lower), spec.upper):
+    lower, upper = specs[0].lower, specs[0].upper
+    if not (math.isfinite(lower) and math.isfinite(upper)):
         return None
     gaps = search.gaps(hand.rest, pairs)
     tried = []
-    for value in np.linspace(spec.lower, spec.upper, _POSTURES):
+    for value in np.linspace(lower, upper, _POSTURES):
         u = np.array(hand.rest)
-        u[moving] = value
+        for (a, factor), spec in zip(factors.items(), specs, strict=True):
+            u[a] = clamped(factor * value, spec.lower, spec.upper)
         tried.append(u)
     widest = max(tried, key=lambda u: sum(search.gaps(u, pairs)))
     openings = search.gaps(widest, pairs)
@@ -136,12 +138,27 @@ def widest_rest(geometry: HandGeometry) -> ClosedRest | None:
     return ClosedRest(names, max(gaps), _rest_of(hand, widest), min(openings))
 
 
+def _together(hand: Hand) -> dict[int, int]:
+    """Return the actuators by which all fingers close together, each with 1 or -1; or none."""
+    moving = [a for a, spec in enumerate(hand.actuators) if spec.fingers]
+    if len(moving) == 1:
+        return {moving[0]: 1}
+    # Imported here, since a running hand does without it.
+    from rtee.hand.candidates import one_motor
+
+    jaws = one_motor(hand)
+    if jaws is None:
+        return {}
+    first, second = hand.actuator_index(jaws.master), hand.actuator_index(jaws.joint)
+    return {first: 1, second: jaws.factor}
+
+
 def _rest_of(hand: Hand, u: FloatArray) -> dict[str, float]:
     """Return a rest posture ``(n,)`` for hand.yaml, without the values that hold in any case."""
     return {
         spec.name: float(value)
         for spec, value in zip(hand.actuators, u, strict=True)
-        if value != spec.rest or spec.rest != min(max(0.0, spec.lower), spec.upper)
+        if value != spec.rest or spec.rest != clamped(0.0, spec.lower, spec.upper)
     }
 
 

@@ -79,6 +79,24 @@ def test_actuators_that_move_no_finger_leave_a_claw_its_widest(tmp_path: Path) -
     assert closed.opened == {"left_joint": 0.9}
 
 
+@pytest.mark.parametrize("coupled", [True, False], ids=["one motor", "two motors"])
+def test_jaws_that_are_nearest_at_zero_rest_at_their_widest(coupled: bool, tmp_path: Path) -> None:
+    """As base jaws without fingers: 20 mm apart at zero, which is not a pinch."""
+    robot = Robot("base_jaws").link("base", PALM)
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        robot.link(side, JAW)
+        robot.joint(
+            f"{side}_joint", "base", side, (sign * 0.016, 0, 0.01), (1, 0, 0),
+            (-0.03, 0.0) if sign < 0 else (0.0, 0.03), kind="prismatic",
+            mimic="left_joint -1" if coupled and sign > 0 else "",
+        )  # fmt: skip
+    closed = closed_rest_of(load_model(robot.write(tmp_path)), narrow=True)
+    assert closed is not None
+    assert closed.gap == pytest.approx(0.02)
+    assert closed.opening == pytest.approx(0.08)
+    assert closed.opened == {"left_joint": -0.03} | ({} if coupled else {"right_joint": 0.03})
+
+
 @pytest.mark.parametrize("name", MODELS)
 def test_other_hands_do_not(shared: Path, name: str) -> None:
     folder = shared / "hands" / name
