@@ -97,6 +97,23 @@ class Lifecycle(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Mechanism:
+    """What an actuator's mechanism can do by the model, however hand.yaml limits its use.
+
+    A device's counts are scaled by these: a limit of hand.yaml must not stretch them.
+
+    Attributes:
+        lower: Lower end of its travel [rad | m].
+        upper: Upper end of its travel [rad | m].
+        effort: Its full effort [N·m | N]; ``inf`` if neither model nor hand.yaml gives one.
+    """
+
+    lower: float
+    upper: float
+    effort: float
+
+
+@dataclass(frozen=True, slots=True)
 class DeviceSpec:
     """The configuration of one device of a hand, from which its driver is made.
 
@@ -105,6 +122,7 @@ class DeviceSpec:
         hand: The hand's name.
         driver: Registry name, entry point or ``module:Class``.
         actuators: The actuators it drives, in the hand's order; a driver's arrays have this order.
+            Their limits are those of hand.yaml, for the references.
         options: The driver's own options from hand.yaml.
         rate: Rate of the loop [Hz].
         every: Ticks from one exchange to the next; ``None``: chosen for the driver's best rate.
@@ -114,6 +132,8 @@ class DeviceSpec:
         worn: Whether the emulator deviates from the data sheet as real devices do.
         source: ``file:line`` of the configuration, for messages.
         folder: The hand's folder, for drivers that need its model; empty: look it up by name.
+        mechanisms: What the actuators could do without the limits of hand.yaml, by name, where that
+            differs; see `mechanism`.
     """
 
     name: str
@@ -128,11 +148,17 @@ class DeviceSpec:
     worn: bool = False
     source: str = ""
     folder: str = ""
+    mechanisms: Mapping[str, Mechanism] = field(default_factory=_nothing)
 
     @property
     def owner(self) -> str:
         """Name under which the device owns its bus, unique among all hands of a process."""
         return f"{self.hand}/{self.name}"
+
+    def mechanism(self, actuator: ActuatorSpec) -> Mechanism:
+        """Return the ends of an actuator's travel and its full effort, for scales of counts."""
+        known = self.mechanisms.get(actuator.name)
+        return known or Mechanism(actuator.lower, actuator.upper, actuator.effort)
 
 
 @dataclass(frozen=True, slots=True)

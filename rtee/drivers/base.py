@@ -64,7 +64,7 @@ class Driver(ABC):
         self._owned_bus: Bus | None = None
         self._owned_link: Any = None
         self.attached = Attached(spec.actuators)
-        self.standstill = Standstill(spec.actuators)
+        self.standstill = Standstill(spec)
         if self.Options is not None:
             self.options = read_options(self.Options, spec)
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 
-from rtee.types import ActuatorSpec, Event, JointKind
+from rtee.types import ActuatorSpec, Event, JointKind, Mechanism
 
 MARGIN = 5.0
 """Plausible speed of an actuator, in multiples of its velocity limit: that limit applies to
@@ -24,8 +24,9 @@ _SLACK = 0.05
 """Additional travel, as a share of the range, for a coarse sensor or an object that slips."""
 
 _OUTSIDE = 0.5
-"""A position further outside of its limits than this share of the range is implausible. Devices do
-come to rest outside of the limits, which are often narrower than the mechanism."""
+"""A position further outside of its limits than this share of the range, and outside of what its
+mechanism reaches, is implausible. Devices do come to rest outside of the limits, which are often
+narrower than the mechanism."""
 
 _CALM = 0.5
 """A position is plausible again after this time without an implausible step [s]: long enough for
@@ -80,10 +81,18 @@ class Plausibility:
 
     Every actuator has an allowance of travel, which grows with time at `MARGIN` times the velocity
     limit and is reduced by each measured step. So measurements may be sparse, late or bunched.
+
+    Args:
+        actuators: The actuators.
+        report: Called with events.
+        mechanisms: Where each may stand, though its limits are narrower.
     """
 
     def __init__(
-        self, actuators: Sequence[ActuatorSpec], report: Callable[[Event], object]
+        self,
+        actuators: Sequence[ActuatorSpec],
+        report: Callable[[Event], object],
+        mechanisms: Sequence[Mechanism],
     ) -> None:
         self._actuators = actuators
         self._report = report
@@ -92,10 +101,10 @@ class Plausibility:
         slack = [_SLACK * span if math.isfinite(span) else _SLACK for span in spans]
         self._rate = [MARGIN * a.velocity for a in actuators]
         self._most = [_SPARE * r + s for r, s in zip(self._rate, slack, strict=True)]
-        self._lowest = [a.lower - _OUTSIDE * span for a, span in zip(actuators, spans, strict=True)]
-        self._highest = [
-            a.upper + _OUTSIDE * span for a, span in zip(actuators, spans, strict=True)
-        ]
+        self._lowest, self._highest = [], []
+        for a, span, ends in zip(actuators, spans, mechanisms, strict=True):
+            self._lowest.append(min(a.lower - _OUTSIDE * span, ends.lower))
+            self._highest.append(max(a.upper + _OUTSIDE * span, ends.upper))
         self._last = [math.nan] * n
         self._left = list(self._most)
         self._changed = [-math.inf] * n

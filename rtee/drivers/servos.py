@@ -408,7 +408,8 @@ class ServoDriver(Driver, Generic[L]):
             self._check_range(number, [self.scales[i].to_counts(angle) for angle in ends[i]])
         positions = self._to_actuators(self._units.measured(readings.columns).angle)
         for actuator, position in zip(self.spec.actuators, positions.tolist(), strict=True):
-            outside = max(actuator.lower - position, position - actuator.upper)
+            mechanism = self.spec.mechanism(actuator)
+            outside = max(mechanism.lower - position, position - mechanism.upper)
             if outside > self.options.outside:
                 raise CalibrationError(
                     self.spec.name,

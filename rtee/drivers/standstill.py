@@ -10,7 +10,7 @@ import numpy as np
 from rtee import monotonic
 from rtee.drivers.plausibility import Plausibility
 from rtee.sample import ActuatorState
-from rtee.types import ActuatorSpec, Event, Reference
+from rtee.types import DeviceSpec, Event, Reference
 
 _BESIDE = 0.05
 """Largest distance of a device from the path between its last position and its reference, as a
@@ -34,11 +34,12 @@ class Standstill:
     is stricter than `Plausibility`.
 
     Args:
-        actuators: The actuators of the device.
+        spec: The device.
     """
 
-    def __init__(self, actuators: Sequence[ActuatorSpec]) -> None:
-        self._actuators = actuators
+    def __init__(self, spec: DeviceSpec) -> None:
+        self._actuators = actuators = spec.actuators
+        self._mechanisms = [spec.mechanism(actuator) for actuator in actuators]
         spans = [a.upper - a.lower for a in actuators]
         self._beside = [_BESIDE * span if math.isfinite(span) else _BESIDE for span in spans]
         self.forget()
@@ -47,7 +48,7 @@ class Standstill:
         """Forget everything, since people or the device itself may have moved it meanwhile."""
         n = len(self._actuators)
         # The loop makes its own judgement, and reports it.
-        self._plausibility = Plausibility(self._actuators, _silently)
+        self._plausibility = Plausibility(self._actuators, _silently, self._mechanisms)
         self._asked = np.full(n, math.nan)
         self._believed = [math.nan] * n
         self._judged = -math.inf

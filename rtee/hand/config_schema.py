@@ -91,9 +91,9 @@ class ActuatorLimits(Section, frozen=True):
     """Choice of the URDF's position limits: ``soft`` (unless given) takes those of
     ``<safety_controller>``, if there are any, ``hard`` those of ``<limit>``."""
     lower: float | None = None
-    """Lower position limit [rad | m]."""
+    """Lower position limit of references [rad | m]; a device's counts keep their meaning."""
     upper: float | None = None
-    """Upper position limit [rad | m]."""
+    """Upper position limit of references [rad | m]; a device's counts keep their meaning."""
 
 
 class Following(StrEnum):

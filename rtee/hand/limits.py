@@ -15,7 +15,7 @@ from rtee.hand.model import Joint, JointRole
 from rtee.hand.srdf import Srdf
 from rtee.hand.transmission import Transmission, sample
 from rtee.hand.urdf import Urdf, UrdfJoint
-from rtee.types import ActuatorSpec, JointKind
+from rtee.types import ActuatorSpec, JointKind, Mechanism
 
 REST_STATES: Final = ("rest", "open", "home")
 """Names of SRDF group states for the rest posture; the first one found is used."""
@@ -132,6 +132,13 @@ def actuator_spec(
         rest=rest,
     )
     return spec, notes
+
+
+def mechanism(actuator: ActuatorSpec, urdf: Urdf) -> Mechanism:
+    """Return what an actuator can do by the model, without the limits of hand.yaml."""
+    joint = urdf.joints[actuator.name]
+    # 0 means "not given" in a URDF: then hand.yaml completes it instead of tightening it.
+    return Mechanism(joint.lower, joint.upper, joint.effort or actuator.effort)
 
 
 class _LimitReader:

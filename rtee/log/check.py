@@ -109,7 +109,8 @@ class ReplayCheck:
             reasons.append(
                 f"recorded with version {self.rules} of the rules of contact, computed with "
                 f"version {contact_rules.VERSION}: after a contact, a stop at which a measurement "
-                "leaped, or a stream that ended near a limit, references may differ on purpose"
+                "leaped, a stream that ended near a limit, or outside of hand.yaml's limits, "
+                "references may differ on purpose"
             )
         if self.differing:
             reasons.append(f"it {differs(self.differing)}")

@@ -30,6 +30,7 @@ from rtee.commands import (
     StreamSample,
 )
 from rtee.drivers.plausibility import Plausibility
+from rtee.hand.limits import mechanism
 from rtee.hand.model import Hand
 from rtee.loop.closing import slowed
 from rtee.loop.evidence import ContactMonitor
@@ -222,7 +223,8 @@ class Controller:
         self._heat = CurrentHeat(settings.thermal, hand.actuator_names)
         self.outbox = Outbox()
         report = self.outbox.items.append
-        self._plausible = Plausibility(hand.actuators, report)
+        ends = [mechanism(actuator, hand.urdf) for actuator in hand.actuators]
+        self._plausible = Plausibility(hand.actuators, report, ends)
         self.active, self.reference_effort = [False] * n, [0.0] * n
         self.starts = ReferenceStart(
             self._profile,

@@ -22,6 +22,7 @@ from rtee.hand.config_schema import (
     SafetySettings,
     ThermalSettings,
 )
+from rtee.hand.limits import mechanism
 from rtee.hand.model import Hand
 from rtee.loop.free_motion import LearnedMotion
 from rtee.types import DeviceSpec
@@ -240,5 +241,6 @@ def _settings_of(
         worn=choice.emulated and not choice.ideal,
         source=f"{choice.source}:{choice.lines[name]}" if name in choice.lines else choice.source,
         folder=choice.folder,
+        mechanisms={actuator.name: mechanism(actuator, hand.urdf) for actuator in ordered},
     )
     return DeviceSettings(spec, reconnect_active=device.reconnect == "active")

@@ -11,7 +11,7 @@ from rtee import monotonic
 from rtee.drivers.standstill import Standstill
 from rtee.sample import ActuatorState
 from rtee.testing.case import actuator
-from rtee.types import Reference
+from rtee.types import DeviceSpec, Reference
 
 TICK = 0.01
 SPECS = (actuator("a", 0.0, 2.0), actuator("b", -1.0, 1.0))
@@ -23,7 +23,7 @@ class Moved:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0
         monkeypatch.setattr(monotonic, "now", lambda: self.now)
-        self.standstill = Standstill(SPECS)
+        self.standstill = Standstill(DeviceSpec("d", "h", "d", SPECS))
         self.at = [0.5, 0.0]
 
     def tick(self, *asked: float, measured: list[float] | None = None) -> None:

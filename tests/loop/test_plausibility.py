@@ -16,7 +16,7 @@ from rtee.drivers.plausibility import MARGIN, Plausibility
 from rtee.hand.model import Hand
 from rtee.loop.settings import LoopSettings
 from rtee.sample import ActuatorState
-from rtee.types import ActuatorSpec, Event, Goal, JointKind, Named
+from rtee.types import ActuatorSpec, Event, Goal, JointKind, Mechanism, Named
 
 from .hands import device, running
 
@@ -145,7 +145,22 @@ async def test_what_is_moved_by_hand_may_be_anywhere(hand: Hand) -> None:
 
 def watched() -> tuple[Plausibility, list[Event]]:
     told: list[Event] = []
-    return Plausibility([SPEC], told.append), told
+    ends = Mechanism(SPEC.lower, SPEC.upper, SPEC.effort)
+    return Plausibility([SPEC], told.append, [ends]), told
+
+
+def test_a_hand_may_stand_wherever_its_mechanism_reaches() -> None:
+    told: list[Event] = []
+    narrow = replace(SPEC, upper=0.3)  # in hand.yaml
+    ends = Mechanism(SPEC.lower, SPEC.upper, SPEC.effort)
+    plausible = Plausibility([narrow], told.append, [ends])
+    plausible.step(0.0, [1.4], [True], [True], [0.0])
+    assert not told
+    assert plausible.start(0, 0.0, 0.0) == 1.4
+    plausible.forget([0])
+    plausible.step(0.01, [1.6], [True], [True], [0.0])
+    assert [event.kind for event in told] == ["implausible"]
+    assert plausible.start(0, 0.01, 0.0) is None
 
 
 @given(

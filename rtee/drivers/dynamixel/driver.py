@@ -225,7 +225,8 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         for scale, actuator, position in zip(
             self.scales, self.spec.actuators, readings.columns[0].tolist(), strict=True
         ):
-            scale.unwrap(position, actuator.lower, actuator.upper)
+            ends = self.spec.mechanism(actuator)
+            scale.unwrap(position, ends.lower, ends.upper)
         self._use_scales()
         # Already here, since the turn was derived from the limits.
         self._check_places(readings)

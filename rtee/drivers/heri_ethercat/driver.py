@@ -325,7 +325,8 @@ class HeriEthercatDriver(Driver):
                 if self.options.limit_torque:
                     limit = max(float(reference.max_effort[i]), 0.0)
                     # The full effort is sent as no limit; the board has its own.
-                    self._limits[motor] = limit if limit < actuator.effort else math.inf
+                    full = self.spec.mechanism(actuator).effort
+                    self._limits[motor] = limit if limit < full else math.inf
         await self._exchange()
 
     def _refuse(self) -> None:

@@ -219,8 +219,9 @@ def scales_of(
     """Return the scale of each actuator; raises `ConfigError` if an actuator has no limits."""
     scales = []
     for actuator, motor in zip(spec.actuators, motors, strict=True):
+        ends = spec.mechanism(actuator)
         # Written with `not`, so that limits of NaN are refused, too.
-        if not actuator.upper - actuator.lower < float("inf"):
+        if not ends.upper - ends.lower < float("inf"):
             raise ConfigError(f"device '{spec.name}': actuator '{actuator.name}' has no limits")
         finger = FINGERS[motor]
         given = options.forces.get(finger)  # type: ignore[call-overload]
@@ -228,8 +229,8 @@ def scales_of(
         force = replace(FORCES[finger], **changes)
         scales.append(
             MotorScale(
-                actuator.lower,
-                actuator.upper,
+                ends.lower,
+                ends.upper,
                 force,
                 most=options.most,
                 travel_time=options.travel_time,

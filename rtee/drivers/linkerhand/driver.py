@@ -307,7 +307,7 @@ class LinkerHandDriver(Driver):
         for i, (motor, scale) in enumerate(zip(self._motors, self._scales, strict=True)):
             if not mask[i]:
                 continue
-            most = self.spec.actuators[i].effort
+            most = self.spec.mechanism(self.spec.actuators[i]).effort
             # Without an effort limit in the model, the effort at 255 is not known.
             limited = math.isfinite(most)
             torques[motor] = (

@@ -87,9 +87,9 @@ class OnRobot3FGDriver(OnRobotDriver[codec.Status]):
         )
 
     def _scaled(self, largest: float) -> FingerScale:
-        actuator = self.spec.actuators[0]
+        ends = self.spec.mechanism(self.spec.actuators[0])
         return codec.scale_of(
-            actuator.lower, actuator.upper, largest, self.options.smallest, self.options.force
+            ends.lower, ends.upper, largest, self.options.smallest, self.options.force
         )
 
     def _grip_force(self) -> dict[str, GripForce]:

@@ -62,8 +62,9 @@ class OnRobotRGDriver(OnRobotDriver[codec.Status]):
         super().__init__(spec, buses)
         actuator = spec.actuators[0]
         self._model = codec.MODELS[self.options.model]
-        self.scale = codec.LinkageScale(self._model, actuator.lower, actuator.upper)
-        self._closed = self.scale.width(actuator.lower)
+        ends = spec.mechanism(actuator)
+        self.scale = codec.LinkageScale(self._model, ends.lower, ends.upper)
+        self._closed = self.scale.width(ends.lower)
         step = self.options.step / TENTH_MM
         self._follower = StepFollower(self.options.settle, step, _SAME, _REACHED)
         grip = GripForce(self.scale.effort.si, (0.0,), (self._model.force,))

@@ -310,10 +310,8 @@ class QbSoftHandDriver(Driver):
         given = self.options.effort_per_ampere
         if given is not None:
             return [given * 1e-3] * self.options.motors
-        return [
-            a.effort / current_limit * 1e-3 if math.isfinite(a.effort) else math.nan
-            for a in self.spec.actuators
-        ]
+        full = [self.spec.mechanism(actuator).effort for actuator in self.spec.actuators]
+        return [e / current_limit * 1e-3 if math.isfinite(e) else math.nan for e in full]
 
     async def _check(self) -> None:
         if not await self._all_active():

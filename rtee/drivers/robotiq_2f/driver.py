@@ -96,10 +96,10 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         self.scale = self._scaled(self.options.open_count, self.options.closed_count)
 
     def _scaled(self, open_count: int, closed_count: int) -> FingerScale:
-        actuator, closed = self.spec.actuators[0], self.options.closed_position
+        ends, closed = self.spec.mechanism(self.spec.actuators[0]), self.options.closed_position
         return MODELS[self.options.model].scale(
-            actuator.lower,
-            actuator.upper if closed is None else closed,
+            ends.lower,
+            ends.upper if closed is None else closed,
             open_count,
             closed_count,
         )

@@ -234,8 +234,9 @@ class SchunkEguDriver(Driver):
 
     @property
     def _range(self) -> float:
+        """Travel of a finger from its open end to the actuator's upper limit [m]."""
         actuator = self.spec.actuators[0]
-        return actuator.upper - actuator.lower
+        return actuator.upper - self.spec.mechanism(actuator).lower
 
     def _adopt(
         self, least: float, most: float, force: float, identity: Mapping[str, str], best_rate: float
@@ -243,11 +244,10 @@ class SchunkEguDriver(Driver):
         """Derive scales and capabilities from the gripper's limits: positions [µm], force [N]."""
         actuator = self.spec.actuators[0]
         opened, closed = (most, least) if self.options.opens == "up" else (least, most)
-        # The position of the actuator is the travel of one finger [m], open at its lower limit.
+        # The position of the actuator is the travel of one finger [m], open at its lower end.
+        lower = self.spec.mechanism(actuator).lower
         end = opened + math.copysign(self._range * _PER_FINGER, closed - opened)
-        self.position = LinearScale(
-            (opened, end), (actuator.lower, actuator.upper), ends=(least, most)
-        )
+        self.position = LinearScale((opened, end), (lower, actuator.upper), ends=(least, most))
         # The smallest force is 1 %, the resolution of the register. The actuator moves both
         # fingers, so a grip force of 1 N takes an effort of 2 N.
         weakest = force / 100.0

@@ -104,8 +104,9 @@ class Wsg50Driver(Driver):
         """Derive scales and capabilities from the gripper's limits."""
         actuator = self.spec.actuators[0]
         self._limits = limits
-        self.position = LinearScale((limits.stroke, 0.0), (actuator.lower, actuator.upper))
-        per_position = 1e-3 * limits.stroke / (actuator.upper - actuator.lower)
+        ends = self.spec.mechanism(actuator)
+        self.position = LinearScale((limits.stroke, 0.0), (ends.lower, ends.upper))
+        per_position = 1e-3 * limits.stroke / (ends.upper - ends.lower)
         self._speed_of = 1e3 * per_position  # speed of the width [mm/s] per actuator velocity
         least, nominal, _ = limits.force
         self.effort = LinearScale((least, nominal), (least * per_position, nominal * per_position))

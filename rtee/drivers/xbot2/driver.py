@@ -128,8 +128,8 @@ class XBot2Driver(Driver):
         self._names = [g.joint or a.name for g, a in zip(given, spec.actuators, strict=True)]
         self._signs = [g.effort_sign for g in given]
         pairs = list(zip(given, spec.actuators, strict=True))
-        self._commanded = [_scale(g.command, a, spec.name) for g, a in pairs]
-        self._reported = [_scale(g.state or g.command, a, spec.name) for g, a in pairs]
+        self._commanded = [_scale(g.command, a, spec) for g, a in pairs]
+        self._reported = [_scale(g.state or g.command, a, spec) for g, a in pairs]
         self._undo: Callable[[], None] | None = None
         self._state: codec.State | None = None
         self._index: list[int] = []
@@ -266,7 +266,8 @@ class XBot2Driver(Driver):
             return
         if self.options.control == "limited":
             for i in chosen:
-                limit, most = float(reference.max_effort[i]), self.spec.actuators[i].effort
+                limit = float(reference.max_effort[i])
+                most = self.spec.mechanism(self.spec.actuators[i]).effort
                 # After a smaller limit, the full effort has to be sent, too.
                 if limit < most or math.isfinite(self._limits[i]):
                     self._limits[i] = max(min(limit, most), 0.0)
@@ -340,11 +341,14 @@ class XBot2Driver(Driver):
         await self.sense()
 
 
-def _scale(ends: tuple[float, float] | None, actuator: ActuatorSpec, device: str) -> LinearScale:
-    lower, upper = actuator.lower, actuator.upper
+def _scale(
+    ends: tuple[float, float] | None, actuator: ActuatorSpec, spec: DeviceSpec
+) -> LinearScale:
+    mechanism = spec.mechanism(actuator)
+    lower, upper = mechanism.lower, mechanism.upper
     if not math.isfinite(upper - lower):
         if ends is not None:
-            raise ConfigError(f"device '{device}': '{actuator.name}' has no limits to map")
+            raise ConfigError(f"device '{spec.name}': '{actuator.name}' has no limits to map")
         # An unlimited joint is not mapped: the server's units are the actuator's.
         return LinearScale((0.0, 1.0), (0.0, 1.0))
     return LinearScale((lower, upper) if ends is None else ends, (lower, upper))

@@ -1,0 +1,101 @@
+"""Limits of hand.yaml bound the references; they don't stretch the scales of devices' counts."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from rtee.buses.pool import BusPool
+from rtee.drivers.heri_ethercat.codec import TORQUE_PER_AMPERE
+from rtee.drivers.registry import find_driver
+from rtee.running.prepare import RunOptions, prepare
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
+
+pytestmark = pytest.mark.anyio
+CONFIG = Path(__file__).parents[2] / "config"
+HANDS = sorted(path.parent.name for path in CONFIG.glob("*/hand.yaml"))
+
+
+def devices(folder: Path) -> list[DeviceSpec]:
+    options = RunOptions(driver="devices", emulated=True, ideal=True, rate=100.0)
+    return [device.spec for device in prepare(str(folder), options).devices]
+
+
+def tightened(name: str, tmp_path: Path) -> list[DeviceSpec]:
+    """Return the devices of a hand with narrower limits and half the effort in its hand.yaml."""
+    folder = tmp_path / name
+    # Without its actions, whose set-points lie outside the narrower limits.
+    shutil.copytree(CONFIG / name, folder, ignore=shutil.ignore_patterns("actions"))
+    file = folder / "hand.yaml"
+    text = yaml.safe_load(file.read_text("utf-8"))
+    limits, rest = text.setdefault("limits", {}), text.setdefault("rest", {})
+    for spec in devices(CONFIG / name):
+        for actuator in spec.actuators:
+            span = actuator.upper - actuator.lower
+            lower, upper = actuator.lower + 0.2 * span, actuator.upper - 0.3 * span
+            limits.setdefault(actuator.name, {}).update(lower=lower, upper=upper)
+            if math.isfinite(actuator.effort):
+                limits[actuator.name]["effort"] = actuator.effort / 2.0
+            rest[actuator.name] = lower
+    file.write_text(yaml.safe_dump(text), "utf-8")
+    return devices(folder)
+
+
+async def measured(spec: DeviceSpec) -> ActuatorState:
+    async with BusPool() as pool:
+        driver = find_driver(spec.driver)(spec, pool)
+        try:
+            await driver.configure()
+            return await driver.sense()
+        finally:
+            await driver.close()
+
+
+@pytest.mark.parametrize("name", HANDS)
+async def test_a_device_measures_the_same_with_tighter_limits(name: str, tmp_path: Path) -> None:
+    for before, after in zip(devices(CONFIG / name), tightened(name, tmp_path), strict=True):
+        assert after.actuators[0].upper < before.actuators[0].upper
+        usual, tight = await measured(before), await measured(after)
+        np.testing.assert_allclose(tight.position, usual.position, atol=2e-3)
+
+
+async def test_half_the_effort_in_hand_yaml_is_half_the_torque_of_a_motor(tmp_path: Path) -> None:
+    [spec] = tightened("linkerhand_o6", tmp_path)
+    full = [actuator.effort for actuator in spec.actuators]
+    async with BusPool() as pool:
+        driver = find_driver(spec.driver)(spec, pool)
+        try:
+            await driver.configure()
+            await driver.activate()
+            upper = [actuator.upper for actuator in spec.actuators]
+            await driver.move(Reference.at(upper, max_effort=full))
+            # 255 is the full torque.
+            assert pool.played(spec.owner).begun == [128] * 6  # type: ignore[attr-defined]
+        finally:
+            await driver.close()
+
+
+async def test_boards_of_heri_are_told_the_limit_of_hand_yaml() -> None:
+    options = RunOptions(driver="heri_ethercat", emulated=True, ideal=True, rate=100.0)
+    [device] = prepare(str(CONFIG / "heri_ii"), options).devices
+    spec = device.spec
+    efforts = [actuator.effort for actuator in spec.actuators]
+    assert efforts == [3.3] * 4, "the URDF has 5.3 N·m, for a moment"
+    async with BusPool() as pool:
+        driver = find_driver(spec.driver)(spec, pool)
+        try:
+            await driver.configure()
+            await driver.activate()
+            upper = [actuator.upper for actuator in spec.actuators]
+            await driver.move(Reference.at(upper, max_effort=efforts))
+            boards = pool.played(spec.owner).boards  # type: ignore[attr-defined]
+            limits = [motor.max_effort for board in boards for motor in board.motors]
+            assert limits == pytest.approx([3.3 / TORQUE_PER_AMPERE] * 4, rel=1e-3)
+        finally:
+            await driver.close()
