@@ -11,7 +11,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from rtee.drivers.options import DeviceOptions, NotNegative, Positive, Rate
+from rtee.drivers.options import DeviceOptions, Pause, Positive, Rate
 from rtee.drivers.packed import text
 from rtee.drivers.register_blocks import ExchangeKind
 
@@ -44,7 +44,7 @@ class OnRobotOptions(DeviceOptions, frozen=True):
     """How registers are exchanged: function 23, or 16 and 3."""
     rate: Positive = 50.0
     """Exchanges per second through the Compute Box."""
-    settle: NotNegative = 0.1
+    settle: Pause = 0.1
     """Time after which the driver grips with force at a resting reference [s]."""
 
     @property

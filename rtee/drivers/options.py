@@ -33,6 +33,21 @@ CanRate = Annotated[int, Meta(ge=10_000, le=1_000_000)]
 Duration = Annotated[float, Meta(ge=0.0, le=1e6)]
 """A time [s]."""
 
+# The following have bounds between what a device can have and the same number in a thousandth of
+# the unit, so that milliseconds, millimetres and milliamperes are refused.
+
+Moment = Annotated[float, Meta(gt=0.0, le=10.0)]
+"""Time of an exchange or of a finger's full travel [s]."""
+
+Pause = Annotated[float, Meta(ge=0.0, le=1.0)]
+"""Time before or after a frame [s]."""
+
+Length = Annotated[float, Meta(gt=0.0, le=1.0)]
+"""A length on a hand, or the speed at which it passes in a second [m | m/s]."""
+
+Current = Annotated[float, Meta(gt=0.0, le=20.0)]
+"""Current of a motor in a hand [A]."""
+
 
 class DeviceOptions(Section, frozen=True):
     """Options that every device has; unknown names are refused."""

@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Meta
 
 from rtee.drivers.json_files import read_calibration_file
-from rtee.drivers.options import DeviceOptions, NotNegative, Positive
+from rtee.drivers.options import DeviceOptions, Moment, NotNegative, Pause, Positive
 from rtee.errors import CalibrationError, DeviceFault, HandshakeError, NotConnected
 from rtee.hand.validation import Finite, Section
 from rtee.sample import FloatArray
@@ -78,12 +78,12 @@ class LineOptions(DeviceOptions, frozen=True):
     """Derivative gain."""
     return_delay: Annotated[int, Meta(ge=0, le=254)] | None = 0
     """Written to servos that have another one [2 µs]; null leaves them."""
-    outside: Positive = 0.35
+    outside: Annotated[float, Meta(gt=0, le=10)] = 0.35
     """How far a joint may be outside its limits before its zero is doubted."""
-    deadline: Positive = 0.1
+    deadline: Moment = 0.1
     """Longest time for an exchange [s]."""
     retries: Annotated[int, Meta(ge=0, le=10)] = 2
-    turnaround: NotNegative = LATENCY
+    turnaround: Pause = LATENCY
     """Time per answer that the bytes do not explain [s]."""
 
 

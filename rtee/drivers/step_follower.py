@@ -17,7 +17,9 @@ begin."""
 Settle = Annotated[
     float,
     Meta(
-        ge=0.0, description="time after which a resting reference is sent, however close it is [s]"
+        ge=0.0,
+        le=1.0,  # not milliseconds
+        description="time after which a resting reference is sent, however close it is [s]",
     ),
 ]
 """The option that becomes the argument ``settle`` of `StepFollower`."""

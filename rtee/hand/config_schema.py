@@ -486,6 +486,12 @@ class Ros2Settings(Section, frozen=True):
 
 
 Vector = tuple[float, float, float]
+_Coordinate = Annotated[float, Meta(ge=-2, le=2)]
+_Angle = Annotated[float, Meta(ge=-7, le=7)]
+Place = tuple[_Coordinate, _Coordinate, _Coordinate]
+"""A place on a hand or an adapter [m]; nothing there is farther away: millimetres are refused."""
+Turn = tuple[_Angle, _Angle, _Angle]
+"""Roll, pitch and yaw [rad], about a full turn at most, so that most degrees are refused."""
 Vectors = tuple[Vector, ...]
 Cells = Annotated[int, Meta(ge=1, le=100)]
 
@@ -495,9 +501,9 @@ class FlangeSection(Section, frozen=True):
 
     frame: str = "flange"
     """Name of the flange's frame on the arm, such as ``tool0``."""
-    xyz: Vector = (0.0, 0.0, 0.0)
+    xyz: Place = (0.0, 0.0, 0.0)
     """Origin of the hand's base frame in the flange frame [m], such as the height of an adapter."""
-    rpy: Vector = (0.0, 0.0, 0.0)
+    rpy: Turn = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of the hand's base frame in the flange frame [rad]."""
 
     def __post_init__(self) -> None:
@@ -513,9 +519,9 @@ class TouchSection(Section, frozen=True):
 
     link: str | None = None
     """The link of the sensor; unless given, the device's driver gives its place."""
-    xyz: Vector = (0.0, 0.0, 0.0)
+    xyz: Place = (0.0, 0.0, 0.0)
     """Origin of the sensor's frame in the link's frame [m]."""
-    rpy: Vector = (0.0, 0.0, 0.0)
+    rpy: Turn = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of the sensor's frame in the link's frame [rad]; z points out of the
     surface."""
     grid: tuple[Cells, Cells] | None = None
@@ -553,7 +559,7 @@ class DeviceSection(Section, frozen=True):
     """Actuators that the device drives."""
     every: Annotated[int, Meta(ge=1)] | None = None
     """Exchange with the device every n ticks; unless given, as often as its bus allows."""
-    deadline: Positive | None = None
+    deadline: Annotated[float, Meta(gt=0, le=10)] | None = None
     """Longest time one exchange may take [s]; after three without an answer, and at least half a
     second, the device is lost."""
     reconnect: Literal["inactive", "active"] = "inactive"

@@ -21,7 +21,7 @@ from rtee.drivers.ability_hand.control import SPEEDS, MotorControl
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.deadlines import RelaxedDeadline, cycle_deadline
-from rtee.drivers.options import DeviceOptions, NotNegative, Positive
+from rtee.drivers.options import DeviceOptions, NotNegative, Pause, Positive
 from rtee.drivers.tare import SensorTare
 from rtee.errors import FrameError
 from rtee.sample import ActuatorState, FloatArray
@@ -63,7 +63,7 @@ class AbilityHandOptions(DeviceOptions, frozen=True):
     damping: NotNegative = 0.05
     """With ``mode: current``: effort against velocity [N·m·s/rad]."""
     retries: Annotated[int, Meta(ge=0, le=10)] = 1
-    turnaround: NotNegative = 0.0
+    turnaround: Pause = 0.0
     """Time per answer that the bytes do not explain [s]."""
 
     def __post_init__(self) -> None:

@@ -20,7 +20,7 @@ from rtee.drivers.allegro import codec
 from rtee.drivers.allegro.control import JointControl
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.options import DeviceOptions, NotNegative, Positive
+from rtee.drivers.options import DeviceOptions, Moment, NotNegative, Positive
 from rtee.drivers.wiring import numbers_of
 from rtee.errors import BusError, BusTimeout, ConfigError, NotConnected
 from rtee.sample import ActuatorState
@@ -142,7 +142,7 @@ class AllegroOptions(DeviceOptions, frozen=True):
     max_torque: Positive = 0.5
     smoothing: Positive = 0.006
     info_every: Annotated[int, Meta(ge=1)] = 100
-    deadline: Positive = 0.1
+    deadline: Moment = 0.1
 
 
 def wire_order(spec: DeviceSpec, options: AllegroOptions) -> list[int]:

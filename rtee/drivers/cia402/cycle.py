@@ -272,6 +272,7 @@ class DriveCycle:
                     self._device,
                     _HOMING_FAILED,
                     f"homing failed: {drive.name}",
-                    hint="free it, then `rtee recover` homes it again",
+                    hint="free it, or see in its manual which `homing_method` it knows; then "
+                    "`rtee recover` homes it again",
                 )
             await asyncio.sleep(_HOMING_PERIOD)

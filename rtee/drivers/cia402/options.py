@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from rtee.drivers.options import CanRate, DeviceOptions, Positive
-from rtee.hand.validation import Section
+from rtee.drivers.options import CanRate, DeviceOptions, Moment, Positive
+from rtee.hand.validation import Misfit, Section
 
 
 class NodeOptions(Section, frozen=True):
@@ -72,7 +72,7 @@ class Cia402Options(DeviceOptions, frozen=True, kw_only=True):
     enable_timeout: Positive = 2.0
     homing_timeout: Positive = 30.0
     sdo_timeout: Positive = 0.5
-    deadline: Positive = 0.02
+    deadline: Moment = 0.02
 
     def __post_init__(self) -> None:
         """Check that the options fit each other."""
@@ -81,3 +81,6 @@ class Cia402Options(DeviceOptions, frozen=True, kw_only=True):
             raise ValueError("two drives have the same node id")
         if self.host in ids:
             raise ValueError("the host has the node id of a drive")
+        for name, node in self.nodes.items():
+            if node.counts == 0:
+                raise Misfit("should not be 0", "nodes", name, "counts")

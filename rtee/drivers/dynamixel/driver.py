@@ -18,7 +18,7 @@ from rtee.buses.retry import heard
 from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import ALERT, Hardware
 from rtee.drivers.dynamixel.link import DynamixelLink
-from rtee.drivers.options import Positive
+from rtee.drivers.options import Current, Moment, Positive
 from rtee.drivers.servo_lines import DELAY_UNIT, LineOptions, ServoOptions, ServoScale, check_line
 from rtee.drivers.servos import FoundServo, Goals, Readings, ServoCoupling, ServoDriver
 from rtee.drivers.wiring import check_names
@@ -40,7 +40,7 @@ class DynamixelServo(ServoOptions, frozen=True, kw_only=True):
     id: Annotated[int, Meta(ge=0, le=252)]
     zero: Annotated[float, Meta(ge=0, lt=table.PULSES)] | None = None
     drive_mode: int = 0
-    current: Positive | None = None
+    current: Current | None = None
     current_unit: Positive | None = None
 
 
@@ -55,7 +55,7 @@ class DynamixelOptions(LineOptions, frozen=True, kw_only=True):
         "current_based_position"
     )
     """Operating mode."""
-    current: Positive | None = None
+    current: Current | None = None
     """Largest current [A]; by default the servos' own limit."""
     fast: Literal["auto", "always", "never"] = "auto"
     """Whether to read with the fast sync read; ``auto`` tries it."""
@@ -65,7 +65,7 @@ class DynamixelOptions(LineOptions, frozen=True, kw_only=True):
     """Number of exchanges between readings of temperature, voltage and torque."""
     reboot_time: Positive = 3.0
     """Longest time for a reboot [s]."""
-    deadline: Positive = 0.03
+    deadline: Moment = 0.03
     """Longest time for one exchange, retries included [s]."""
 
     def __post_init__(self) -> None:

@@ -61,7 +61,7 @@ class DifferentialOptions(Section, frozen=True, kw_only=True):
     """
 
     matrix: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 1.0), (-1.0, 1.0))
-    limit: Positive = math.pi / 2.0
+    limit: Annotated[float, Meta(gt=0, le=math.pi)] = math.pi / 2.0
     flexion: Points = ((-1.0, -1.0), (1.0, 1.0))
     tilt: Points = ((-1.0, -1.0), (1.0, 1.0))
     tilt_share: Points = ((-1.0, 1.0), (1.0, 1.0))

@@ -17,7 +17,7 @@ from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.heri_ethercat import codec
-from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.options import DeviceOptions, Moment, Positive
 from rtee.drivers.wiring import numbers_of
 from rtee.errors import BusTimeout, DeviceFault, HandshakeError
 from rtee.sample import ActuatorState
@@ -70,7 +70,7 @@ class HeriEthercatOptions(DeviceOptions, frozen=True):
     torque_per_ampere: Positive = codec.TORQUE_PER_AMPERE
     limit_torque: bool = True
     watchdog: Annotated[float, Meta(ge=0.0, le=6.5)] = 0.25
-    deadline: Positive = 0.02
+    deadline: Moment = 0.02
 
 
 class HeriEthercatDriver(Driver):

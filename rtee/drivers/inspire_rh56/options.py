@@ -14,7 +14,7 @@ from rtee.drivers import wiring
 from rtee.drivers.capabilities import GripForce
 from rtee.drivers.inspire_rh56.codec import FINGERS, MOST, MOST_TACTILE, OPEN
 from rtee.drivers.inspire_rh56.tactile import AREAS, Area
-from rtee.drivers.options import DeviceOptions, NotNegative, Positive
+from rtee.drivers.options import DeviceOptions, Length, Moment, Pause
 from rtee.drivers.scale import LinearScale
 from rtee.errors import ConfigError
 from rtee.hand.validation import Section, values_given
@@ -140,9 +140,9 @@ class ForceOptions(Section, frozen=True):
         arm: Effort of the actuator per force at the fingertip [N·m/N].
     """
 
-    newton_per_gram: Positive | None = None
+    newton_per_gram: Annotated[float, Meta(gt=0, le=0.1)] | None = None
     offset: float | None = None
-    arm: Positive | None = None
+    arm: Length | None = None
 
 
 class InspireRh56Options(DeviceOptions, frozen=True):
@@ -163,7 +163,7 @@ class InspireRh56Options(DeviceOptions, frozen=True):
     """Motors whose counts rise with the actuator's position."""
     forces: dict[Finger, ForceOptions] = field(default_factory=dict)
     """Meaning of a finger's grams, where it is known."""
-    travel_time: Positive = 0.3
+    travel_time: Moment = 0.3
     """Time for the full travel at speed 1000 [s]; published: 0.18 to 0.30."""
     calibration: Path | None = None
     """File of a calibration (``rtee calibrate``): the forces of an idle hand."""
@@ -175,7 +175,7 @@ class InspireRh56Options(DeviceOptions, frozen=True):
     check_every: Annotated[int, Meta(ge=1)] = 50
     """Number of exchanges between readings of the set-points."""
     retries: Annotated[int, Meta(ge=0, le=10)] = 1
-    turnaround: NotNegative = TURNAROUND
+    turnaround: Pause = TURNAROUND
     """Time per answer that the bytes do not explain [s]."""
 
     @property

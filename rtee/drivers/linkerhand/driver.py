@@ -20,7 +20,7 @@ from rtee.drivers.deadlines import cycle_deadline
 from rtee.drivers.linkerhand import codec
 from rtee.drivers.linkerhand.codec import Table
 from rtee.drivers.linkerhand.link import CanLink, LinkerLink, ModbusLink
-from rtee.drivers.options import CanRate, DeviceOptions, NotNegative, Positive
+from rtee.drivers.options import CanRate, DeviceOptions, Moment, Pause
 from rtee.drivers.scale import LinearScale
 from rtee.errors import CommandRejected, ConfigError
 from rtee.sample import ActuatorState, FloatArray
@@ -37,6 +37,9 @@ CAN_SPACING = 0.005
 _YAWS = ("yaw", "rot", "oppos")
 _ROLLS = ("roll", "abduct", "spread")
 """Parts of actuator names that indicate motors which do not bend a finger."""
+
+_End = Annotated[float, Meta(ge=-math.pi, le=math.pi)]
+"""End of a motor's range [rad]: no finger turns further, so degrees are refused."""
 
 
 class LinkerHandOptions(DeviceOptions, frozen=True):
@@ -56,15 +59,15 @@ class LinkerHandOptions(DeviceOptions, frozen=True):
     """39 is a right, 40 a left hand; its identifier on CAN, too."""
     motors: dict[str, Motor] = field(default_factory=dict)
     """The motor that drives each actuator; by default by its name."""
-    ranges: dict[Motor, tuple[float, float]] = field(default_factory=dict)
+    ranges: dict[Motor, tuple[_End, _End]] = field(default_factory=dict)
     """Positions at 255 and at 0 of a motor [rad]; by default those of the SDK."""
-    travel_time: Positive = 1.0
+    travel_time: Moment = 1.0
     """Time for the full travel at speed 255 [s]; an assumption."""
     check_model: bool = True
     """Refuse a hand that reports another number of motors (RS-485)."""
     health_every: Annotated[int, Meta(ge=1)] = 10
     """Number of exchanges between readings of faults and temperatures."""
-    spacing: NotNegative | None = None
+    spacing: Pause | None = None
     """Pause between two frames [s]; by default 0.03 (O6), 0.005 (L10, CAN)."""
     retries: Annotated[int, Meta(ge=0, le=10)] = 1
 

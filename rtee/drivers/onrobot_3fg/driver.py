@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from rtee import monotonic
 from rtee.buses.modbus import ModbusBus
@@ -15,7 +16,7 @@ from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.drivers.onrobot_3fg import codec
 from rtee.drivers.onrobot_common import OnRobotOptions, metres
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
-from rtee.drivers.options import Positive
+from rtee.drivers.options import Length
 from rtee.drivers.scale import FingerScale
 from rtee.errors import ConfigError
 from rtee.sample import ActuatorState
@@ -41,11 +42,11 @@ class OnRobot3FGOptions(OnRobotOptions, frozen=True):
     """Options of a 3FG15 or 3FG25."""
 
     grip: Literal["external", "internal"] = "external"
-    force: Positive = 240.0
+    force: Annotated[float, Meta(gt=0, le=2000)] = 240.0
     """Largest force of the model [N]."""
-    smallest: Positive = 0.0346
+    smallest: Length = 0.0346
     """Raw diameter at the actuator's upper limit [m]."""
-    largest: Positive | None = None
+    largest: Length | None = None
     """Raw diameter at the actuator's lower limit [m]; by default as the gripper reports it."""
     target: Literal["raw", "tips"] = "raw"
     """Meaning of the target diameter: between the fingertips' centres, or their surfaces."""

@@ -13,7 +13,7 @@ from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS, TENTH_MM, OnRobotOptions, signed
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
 from rtee.drivers.onrobot_rg import codec
-from rtee.drivers.options import Positive
+from rtee.drivers.options import Length
 from rtee.drivers.step_follower import Order, StepFollower
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
@@ -40,7 +40,7 @@ class OnRobotRGOptions(OnRobotOptions, frozen=True):
     fingertip_offset: Annotated[float, Meta(ge=0.0, le=0.05)] | None = None
     """Thickness of the fingertips [m], set in the gripper when it is activated; by default its own
     setting is kept."""
-    step: Positive = 0.005
+    step: Length = 0.005
     """A moving reference is followed in steps of at least this width [m]."""
 
 

@@ -16,7 +16,7 @@ from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.options import DeviceOptions, NotNegative, Positive
+from rtee.drivers.options import DeviceOptions, Moment, Pause, Positive
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import Command, current_limit, limits
 from rtee.drivers.qb_softhand.link import QbLink
@@ -135,9 +135,9 @@ class QbSoftHandOptions(DeviceOptions, frozen=True):
     effort_per_ampere: Positive | None = None
     watchdog: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.0
     status_every: Annotated[int, Meta(ge=1)] = 50
-    deadline: Positive = 0.03
+    deadline: Moment = 0.03
     retries: Annotated[int, Meta(ge=0, le=10)] = 2
-    turnaround: NotNegative = codec.TURNAROUND
+    turnaround: Pause = codec.TURNAROUND
 
 
 class QbSoftHandDriver(Driver):

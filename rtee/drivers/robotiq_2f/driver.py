@@ -19,13 +19,17 @@ from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, RobotiqOptions, Ste
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.scale import FingerScale
 from rtee.drivers.wiring import only_actuator
-from rtee.errors import BusError, CalibrationError
-from rtee.hand.validation import Section
+from rtee.errors import BusError, CalibrationError, ConfigError
+from rtee.hand.validation import Misfit, Section
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
 _MORE = 6
 """Number of registers that published programs read from a two-finger gripper."""
+
+_WIDEST = 1.5
+"""Farthest closed position, in ranges of the URDF: models round their limits, and some leave a gap;
+a value in degrees or millimetres is far beyond."""
 
 _LEAST_RANGE = 100
 """Smallest plausible travel [counts]; a gripper that moves freely has about 227."""
@@ -49,6 +53,15 @@ class Robotiq2FOptions(RobotiqOptions, frozen=True):
     """First register of both blocks, 0 for the old universal controller."""
     function: Literal[3, 4] | None = None
     """Modbus function to read with; by default 3, or 4 with ``register_base``."""
+
+    def __post_init__(self) -> None:
+        """Check that counts rise while the gripper closes, as its manual says."""
+        if self.closed_count - self.open_count < _LEAST_RANGE:
+            raise Misfit(
+                f"{self.closed_count} should be at least {_LEAST_RANGE} above 'open_count', "
+                f"{self.open_count}: counts rise while it closes",
+                "closed_count",
+            )
 
 
 class EndStops(Section, frozen=True):
@@ -90,10 +103,24 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         only_actuator(spec, "a two-finger gripper")
+        self._check_closed(self.options.closed_position)
         self._grip = SteadyContact()
         # No echo has this value, so the first one counts as that of a new request.
         self._requested = -1
         self.scale = self._scaled(self.options.open_count, self.options.closed_count)
+
+    def _check_closed(self, position: float | None) -> None:
+        """Check where the option says that the gripper is closed [rad | m], which scales all."""
+        actuator = self.spec.actuators[0]
+        ends = self.spec.mechanism(actuator)
+        most = ends.lower + _WIDEST * (ends.upper - ends.lower)
+        if position is not None and not ends.lower < position <= most:
+            raise ConfigError(
+                f"device '{self.spec.name}': 'closed_position' is {position:g}, but "
+                f"'{actuator.name}' is open at {ends.lower:g} and closes to {ends.upper:g} "
+                "in the URDF [rad | m]",
+                key=f"devices.{self.spec.name}.options.closed_position",
+            )
 
     def _scaled(self, open_count: int, closed_count: int) -> FingerScale:
         ends, closed = self.spec.mechanism(self.spec.actuators[0]), self.options.closed_position

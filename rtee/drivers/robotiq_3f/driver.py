@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Annotated, Literal
 
-from msgspec import field
+from msgspec import Meta, field
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import GripForce
@@ -31,7 +31,7 @@ class Robotiq3FOptions(RobotiqOptions, frozen=True):
     """Addresses of the blocks: 0, or 1000 and 2000; by default 0 on tcp://."""
     function: Literal[3, 4] | None = None
     """Modbus function to read with; by default 4 on tcp://, otherwise 3."""
-    current_per_count: Positive = 0.01
+    current_per_count: Annotated[float, Meta(gt=0, le=1)] = 0.01
     """Current per count [A]; the manuals contradict each other about it."""
     activation_timeout: Positive = 30.0
     """Longest time of an activation or a change of mode [s]."""

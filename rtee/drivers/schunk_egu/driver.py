@@ -17,7 +17,7 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.drivers.deadlines import time_limit
-from rtee.drivers.options import DeviceOptions, Positive, Rate
+from rtee.drivers.options import DeviceOptions, Length, Positive, Rate
 from rtee.drivers.register_blocks import PATIENT, Blocks
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.schunk_egu import codec
@@ -192,14 +192,14 @@ class SchunkEguOptions(DeviceOptions, frozen=True):
     """Rate of the line (8E1) [baud]."""
     opens: Literal["up", "down"] = "up"
     """Whether its position grows or falls while the fingers open."""
-    speed: Positive = 0.02
+    speed: Length = 0.02
     """Speed of a motion whose reference has no limit, per finger [m/s]."""
     rate: Positive = 25.0
     """Exchanges per second; below 20 the gripper may miss them and stop."""
     brake_test: bool = False
     """Test the brake whenever it is activated."""
     settle: Settle = 0.1
-    step: Positive = 0.003
+    step: Length = 0.003
     """A moving reference is followed in steps of at least this, per finger [m]."""
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, field
 
-from rtee.drivers.options import DeviceOptions, NotNegative, Positive
+from rtee.drivers.options import Current, DeviceOptions, Moment, Pause, Positive
 from rtee.drivers.schunk_svh.codec import TURNAROUND, CurrentSettings, PositionSettings
 from rtee.errors import ConfigError
 from rtee.hand.validation import Misfit, Section, values_given
@@ -202,7 +202,7 @@ class ChannelOptions(Section, frozen=True):
     max_offset: int | None = None
     idle_offset: int | None = None
     reset_factor: Annotated[float, Meta(gt=0.0, le=1.0)] | None = None
-    current_limit: Positive | None = None
+    current_limit: Current | None = None
     effort_per_ampere: Positive | None = None
 
     def applied_to(self, channel: Channel) -> Channel:
@@ -242,9 +242,9 @@ class SchunkSvhOptions(DeviceOptions, frozen=True):
     settings: Literal["auto", "library", "device"] = "auto"
     channels: dict[str, ChannelOptions] = field(default_factory=dict)
     status_every: Annotated[int, Meta(ge=1)] = 50
-    deadline: Positive = 0.05
+    deadline: Moment = 0.05
     retries: Annotated[int, Meta(ge=0, le=10)] = 2
-    turnaround: NotNegative = TURNAROUND
+    turnaround: Pause = TURNAROUND
 
     def applied_to(self, table: tuple[Channel, ...]) -> tuple[Channel, ...]:
         """Return the channels of the table with these changes."""
@@ -262,3 +262,10 @@ class SchunkSvhOptions(DeviceOptions, frozen=True):
             if name not in names:
                 reason = f"unknown channel '{name}'; valid: {', '.join(names)}"
                 raise Misfit(reason, "channels")
+        for channel in self.applied_to(CHANNELS):
+            if not channel.min_offset < channel.max_offset:
+                reason = (
+                    f"'min_offset' {channel.min_offset} should be below 'max_offset' "
+                    f"{channel.max_offset}"
+                )
+                raise Misfit(reason, "channels", channel.name)

@@ -14,7 +14,7 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities, GripForce
 from rtee.drivers.deadlines import time_limit
-from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.options import DeviceOptions, Length, Positive
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.step_follower import Order, Settle, StepFollower
 from rtee.drivers.wiring import only_actuator
@@ -71,7 +71,7 @@ class Wsg50Options(DeviceOptions, frozen=True):
     home_timeout: Positive = 20.0
     """Longest time for homing [s]."""
     settle: Settle = 0.1
-    step: Positive = 0.005
+    step: Length = 0.005
     """A moving reference is followed in steps of at least this width [m]."""
     rate: Positive = 20.0
     """Exchanges per second; a higher rate may upset the gripper."""

@@ -19,7 +19,7 @@ from rtee.buses.retry import patiently
 from rtee.buses.zmq import ZmqBus
 from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.options import DeviceOptions, Moment, Positive
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.xbot2 import codec
 from rtee.errors import BusTimeout, ConfigError, suggestion
@@ -79,7 +79,7 @@ class XBot2Options(DeviceOptions, frozen=True):
     joints: dict[str, JointOptions] = field(default_factory=dict)
     control: Literal["position", "limited", "effort"] = "position"
     rate: Positive = 100.0
-    deadline: Positive = 1.0
+    deadline: Moment = 1.0
 
     def __post_init__(self) -> None:
         """Check the address."""
