@@ -213,17 +213,19 @@ class QbSoftHandDriver(Driver):
         if not await link.ping():
             # By broadcast, so that the message can name a hand with another number.
             found = await link.anybody()
-            if found is not None:
+            if found is None:
+                raise NotConnected(
+                    self.spec.name,
+                    f"no SoftHand answers at {self.options.port}",
+                    hint="is its supply on, and is it the right port and baud rate?",
+                )
+            # Its own number: only its first answers were late or lost.
+            if found != self.options.device:
                 raise self.stranger(
                     f"hand number {self.options.device}",
                     f"number {found}",
                     hint=f"set 'device: {found}'",
                 )
-            raise NotConnected(
-                self.spec.name,
-                f"no SoftHand answers at {self.options.port}",
-                hint="is its supply on, and is it the right port and baud rate?",
-            )
         return await link.parameters()
 
     def _adopt(self, reported: tuple[tuple[int, int], ...]) -> None:

@@ -200,6 +200,18 @@ async def test_another_number_is_named() -> None:
                 pass
 
 
+async def test_a_hand_that_was_late_is_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = QbSoftHandEmulator.answers
+
+    def late(emulator: QbSoftHandEmulator, frame: Frame, now: float) -> list[bytes]:
+        lost = frame.command == Command.PING and frame.device == 1
+        return [] if lost else list(answers(emulator, frame, now))
+
+    monkeypatch.setattr(QbSoftHandEmulator, "answers", late)
+    async with BusPool() as pool, connected(pool, device()) as made:
+        assert made.capabilities.identity["number"] == "1"
+
+
 async def test_another_number_of_motors_is_named() -> None:
     spec = device(emulator={"motors": 2})
     async with BusPool() as pool:
