@@ -254,21 +254,21 @@ async def _awaited(work: Awaitable[T]) -> T:
 @types.coroutine
 def _bounded(work: Coroutine[Any, Any, T], driver: GuardedDriver) -> Generator[Any, Any, T]:
     """Run a coroutine; abandon it if it is still running after several cancellations."""
-    cancelled = 0
+    task = asyncio.current_task()
+    before = 0 if task is None else task.cancelling()
     try:
         waits_for = work.send(None)
         while True:
             try:
                 yield waits_for
             except asyncio.CancelledError as error:
-                cancelled += 1
-                if driver.abandoned:
+                if task is not None and driver.abandoned:
                     # `Runner` cancelled the task once more than its timeout will uncancel.
-                    task = asyncio.current_task()
-                    if task is not None:
-                        task.uncancel()
+                    task.uncancel()
                     raise TimeoutError from None
-                if cancelled >= _CANCELLATIONS:
+                # The driver's own timeouts cancel the task, too, and uncancel it when they have
+                # ended; what is left was asked for by others.
+                if task is not None and task.cancelling() - before >= _CANCELLATIONS:
                     raise
                 waits_for = work.throw(error)
             except Exception as error:

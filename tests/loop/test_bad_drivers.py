@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -241,3 +242,23 @@ async def test_a_driver_may_expect_what_a_future_raises(hand: Hand) -> None:
     await guarded.configure()
     await guarded.activate()
     assert (await guarded.sense()).position.shape == (len(INDEX),)
+
+
+async def test_a_driver_may_wait_in_vain_as_often_as_it_likes(hand: Hand) -> None:
+    """Its own timeouts cancel the task, too, but nobody has asked the driver to end."""
+
+    class Patient(KinematicDriver):
+        waited = 0
+
+        async def configure(self) -> None:
+            while self.waited < 10:
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(0.001):
+                        await asyncio.Event().wait()
+                self.waited += 1
+            await super().configure()
+
+    own = device(hand, "own", INDEX, rate=RATE)
+    driver = Patient(own.spec, BusPool())
+    await GuardedDriver(driver, "own", len(INDEX)).configure()
+    assert driver.waited == 10
