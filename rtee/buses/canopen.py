@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from rtee.buses.simulated_can import SimulatedCan
 
 T = TypeVar("T")
+
+# The package also raises what it logs, and the device's own message then names node and cause.
+logging.getLogger("canopen").setLevel(logging.CRITICAL)
 
 
 class CanopenBus(CanBus):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+from rtee import monotonic
 from rtee.buses.bus import Bus
 from rtee.buses.dynamixel import DynamixelBus
 from rtee.buses.modbus import ModbusBus
@@ -23,6 +25,8 @@ OWNER = "scan"
 """Owner of the buses during a scan."""
 _SERVO = 0.5
 """Share of `ANSWER` in which a servo answers; an adapter holds bytes back for up to 16 ms."""
+_LATE = 2.5
+"""Time after which no first answer comes any more [`ANSWER`]: 0.1 s, twice what is typical."""
 _LINKER_ANSWER = 0.15  # longest time for an answer in the LinkerHands' SDK [s]
 
 
@@ -53,11 +57,23 @@ def probe(
     acquire: Callable[[BusPool, str], Awaitable[B]],
     listen: Callable[[B, str], Awaitable[list[Found]]],
 ) -> Probe:
-    """Return a probe on the bus from ``acquire``; ``listen`` gets that bus and its address."""
+    """Return a probe on the bus from ``acquire``; ``listen`` gets that bus and its address.
+
+    It asks again where nobody was found, but something was heard: an adapter is slow and noisy when
+    its port has just been opened, so that the first answer is late and damaged.
+    """
+
+    async def asked(bus: B, address: str) -> list[Found]:
+        late = monotonic.now() + _LATE * ANSWER.get()
+        found = await listen(bus, address)
+        if found:
+            return found
+        await asyncio.sleep(max(0.0, late - monotonic.now()))
+        return await listen(bus, address) if bus.counters.bytes_received else []
 
     async def ask(pool: BusPool, address: str) -> list[Found]:
         bus = await acquire(pool, address)
-        return await ended(bus, listen(bus, address))
+        return await ended(bus, asked(bus, address))
 
     return Probe(name, ask)
 
@@ -276,14 +292,19 @@ def dynamixel(baudrate: int) -> Probe:
     from rtee.drivers.dynamixel.codec import ALERT
     from rtee.drivers.dynamixel.table import BAUD_RATE, BAUD_RATES, model_of
 
+    # The SDK waits as long as the answers of 252 servos of 14 bytes would take on the line, and 3
+    # ms for each [s].
+    ping = 252 * (140 / baudrate + 0.003)
+
     def reported_rate(bus: DynamixelBus, number: int) -> int:
         value, result, error = bus.packets.read1ByteTxRx(bus.port, number, BAUD_RATE.address)
         heard = result == 0 and not error & ~ALERT and value < len(BAUD_RATES)
         return BAUD_RATES[value] if heard else baudrate
 
     def everybody(bus: DynamixelBus) -> list[tuple[int, int, int, int]]:
-        # The ping waits as long as the answers of all possible ids would take on the line.
         data, _ = bus.packets.broadcastPing(bus.port)
+        if data:  # again, since the answer of the first one may have been damaged
+            data |= bus.packets.broadcastPing(bus.port)[0]
         return [(n, *data[n], reported_rate(bus, n)) for n in sorted(data)]
 
     async def listen(bus: DynamixelBus, address: str) -> list[Found]:
@@ -293,7 +314,9 @@ def dynamixel(baudrate: int) -> Probe:
                 f"{model_of(model).name}, id {number}, firmware {firmware}, {rate} baud",
                 {"port": address, "baudrate": rate, "id": number},
             )
-            for number, model, firmware, rate in await bus.run(lambda: everybody(bus), 3.0)
+            for number, model, firmware, rate in await bus.run(
+                lambda: everybody(bus), 2 * ping + 1.0
+            )
         ]
 
     return probe(

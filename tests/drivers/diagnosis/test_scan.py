@@ -75,6 +75,37 @@ async def test_a_device_on_a_line_is_found_with_its_options(
     assert found.found[0].options["port"]
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        "robotiq_2f", "onrobot_rg", "schunk_egu", "qb_softhand", "schunk_svh", "inspire_rh56",
+        "linkerhand", "ability_hand", "orca_touch", "dynamixel", "feetech",
+    ],
+)  # fmt: skip
+async def test_a_slow_and_noisy_adapter_hides_no_device(name: str) -> None:
+    """Its first answer is late and damaged, each time that its port is opened."""
+    given: dict[str, Any] = {"onrobot_rg": {"framing": "rtu"}, "feetech": {"family": "scs"}}
+    properties = {"wear": "worn", **given.get(name, {})}
+    if name in ("dynamixel", "feetech"):
+        properties["ids"] = [1, 2, 3]
+    with SimulatedLine([device(name, **properties)], strict=True) as line:
+        found = await scanned(line)
+    assert {one.driver for one in found.found} == {name}
+    if "ids" in properties:
+        assert [one.options["id"] for one in found.found] == [1, 2, 3]
+
+
+async def test_servos_at_the_slowest_rate_are_found() -> None:
+    servos = make_emulator(
+        "dynamixel",
+        {"emulator": {"ids": [1, 2]}, "baudrate": 9600, "port": "/dev/emulated"},
+    )
+    with SimulatedLine([servos], strict=True) as line:
+        async with BusPool() as pool:
+            found = await probes.dynamixel(9600).ask(pool, line.address)
+    assert [one.options["id"] for one in found] == [1, 2]
+
+
 async def test_a_touch_board_that_sends_is_found_at_its_rate() -> None:
     board = make_emulator("orca_touch", {"port": "/dev/emulated", "baudrate": 2_000_000})
     with SimulatedLine([board], wire_time=False, strict=True) as line:
