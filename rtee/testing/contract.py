@@ -405,7 +405,8 @@ class DriverContract:
         if self.case.wire_faults is not None and fault not in self.case.wire_faults:
             pytest.skip("the wire of this device has no such fault")
         near, far = self.case.between()
-        async with self._session_at(near, within=590.0) as (session, _):
+        # Of simulated time: a second for each cycle, as the slowest lines need.
+        async with self._session_at(near, within=float(self.case.cycles)) as (session, _):
             counters = dict(session.driver.counters())
             faults = Faults(delay_time=0.003, seed=11)
             setattr(faults, fault, _SHARE)

@@ -320,12 +320,17 @@ async def test_lost_frames_do_not_end_the_set_up() -> None:
     ],
 )
 async def test_other_devices_are_refused(
-    options: dict[str, Any], error: type[Exception], sentence: str
+    options: dict[str, Any],
+    error: type[Exception],
+    sentence: str,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     async with BusPool() as pool:
         with pytest.raises(error, match=sentence):
             async with connected(pool, device(**options)):
                 pass
+    # The error says it; the canopen package logs its own words for it, too.
+    assert not [record for record in caplog.records if record.name.startswith("canopen")]
 
 
 @pytest.mark.parametrize(
