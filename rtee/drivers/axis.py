@@ -49,7 +49,7 @@ class Axis:
         max_effort: Effort limit.
         time_constant: Time constant of the approach [s].
         gain: Effort per position error at standstill.
-        friction: Effort of free motion.
+        friction: Effort of free motion; with a smaller ``max_effort`` the axis stands still.
         resolution: Position error below which the target counts as reached.
         lower: Lower hard stop.
         upper: Upper hard stop.
@@ -203,7 +203,8 @@ class Axis:
     def _advance(self, dt: float, share: float, limit: float) -> None:
         """Move by one step: by a fraction of the error, at most by a limit."""
         self._follow(dt)
-        if self.enabled and not self.stuck:
+        # A motor that is too weak for its friction stands still, and pushes all the same.
+        if self.enabled and not self.stuck and self.max_effort >= self.friction:
             lower, upper = self._bounds()
             goal = min(max(self._followed, lower), upper)
             error = goal - self.position

@@ -31,6 +31,16 @@ def test_friction_is_never_against_the_motion_that_is_wanted(
     assert moved.effort == 0.0
 
 
+def test_a_motor_weaker_than_its_friction_pushes_in_vain() -> None:
+    weak = axis(20.0, 150.0)
+    weak.max_effort = 9.0
+    weak.advance(1.0)
+    assert (weak.position, weak.velocity, weak.effort) == (20.0, 0.0, 9.0)
+    weak.max_effort = 10.0
+    weak.advance(1.0)
+    assert weak.position == 150.0
+
+
 def test_what_is_squeezed_is_held_with_the_limit_of_the_effort() -> None:
     closed = axis(100.0, 255.0, VirtualObject(180.0, 20.0))
     closed.advance(1.0)

@@ -27,8 +27,8 @@ Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 _RANGES = ((0.0, 1.74),) * 5 + ((-1.74, 0.0),)
 """Ranges of the motors' joints [rad], from the maker's model."""
-_FRICTION = 0.3
-"""Effort of a joint that moves freely [N·m]; no source gives it."""
+_IDLE = 0.02
+"""Current of a motor that moves freely [A]: typical of one of this size; no source gives it."""
 _CONTACT = 0.05
 """Time for which a motor must be blocked to count as a collision [s]; no source gives it."""
 _ARM = 0.06
@@ -92,7 +92,8 @@ class AbilityHandEmulator(Emulator, Grasps):
         self.properties = made = properties or AbilityProperties()
         self.baudrate, self.turnaround = made.baudrate, made.turnaround
         self.axes = []
-        for (low, high), speed, effort in zip(_RANGES, SPEEDS, EFFORTS, strict=True):
+        motors = zip(_RANGES, SPEEDS, EFFORTS, codec.TORQUES, strict=True)
+        for (low, high), speed, effort, torque in motors:
             # Open is the end at 0; the thumb's rotator closes towards negative angles.
             opened, closed = sorted((low, high), key=abs)
             # Gears of several hundred to one are self-locking.
@@ -102,7 +103,7 @@ class AbilityHandEmulator(Emulator, Grasps):
                 upper=high,
                 max_velocity=speed * made.haste,
                 max_effort=effort,
-                friction=_FRICTION,
+                friction=_IDLE * torque,
                 resolution=1e-4,
                 enabled=True,
                 self_locking=True,

@@ -350,9 +350,7 @@ class EmulatedDynamixel(EmulatedServo):
                 axis.max_effort = float(min(abs(current), limit))
             elif mode == Mode.VELOCITY:
                 axis.max_velocity = abs(push) * _PULSES_PER_COUNT
-        # A current too small to overcome friction does not move the shaft.
-        strong = axis.max_effort >= _FRICTION
-        axis.enabled = bool(self.get(table.TORQUE)) and strong and self.get(table.BUS_WATCHDOG) >= 0
+        axis.enabled = bool(self.get(table.TORQUE)) and self.get(table.BUS_WATCHDOG) >= 0
 
     def _report(self) -> None:
         """Update the registers that report the state."""

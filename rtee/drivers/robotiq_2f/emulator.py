@@ -79,7 +79,7 @@ class Robotiq2FEmulator(RobotiqEmulator):
             upper=made.closed_count,
             max_effort=low,
             time_constant=0.01,
-            friction=0.1 * high,
+            friction=0.5 * low,  # it moves even with its weakest grip
             resolution=0.3,
             rating=high,
             self_locking=True,  # the screw keeps the fingers where they are
