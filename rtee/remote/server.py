@@ -8,10 +8,11 @@ for a slow client. Samples of streams are published, and handled likewise.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import math
 import threading
-from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -229,61 +230,57 @@ _LARGEST_REFUSED = 4096
 """Longest question of a refused query that waits [bytes]: frequent ones have a few hundred."""
 
 
-def _claim_name(
-    hand: str, session: zenoh.Session, endpoints: Sequence[str], certificates: Mapping[str, Any]
-) -> zenoh.LivelinessToken:
-    """Claim a hand's name at its routers; blocks for a moment.
+def _claim_name(hand: str, session: zenoh.Session) -> tuple[str, zenoh.LivelinessToken]:
+    """Claim a hand's name; return the claim's name, and the claim, to be kept for as long."""
+    own = str(session.info.zid())
+    return own, session.liveliness().declare_token(network_key(hand, f"{CLAIMS}/{own}"))
+
+
+def _check_name(hand: str, own: str, endpoint: str, certificates: Mapping[str, Any]) -> None:
+    """Wait until no other hand of a name is at a router; blocks for a moment.
 
     Two hands of a name would both receive what clients send to either, and clients would get the
-    answers of both. Of hands that start at the same moment, one stays. A router that does not
-    answer may come up later.
+    answers of both. A router that does not answer may come up later.
 
-    Returns:
-        The claim, which lasts until it is undeclared.
+    Args:
+        hand: The name.
+        own: The hand's own claim. It was made before: of two hands that start at the same moment,
+            the one that looks later sees the other's, and one stays.
+        endpoint: The router's.
+        certificates: Zenoh's settings for a link to it.
 
     Raises:
-        ConfigError: if another hand of this name is at a router.
+        ConfigError: if another hand of this name stays.
     """
-    own = str(session.info.zid())
-    # Declared before the look: of two hands, the one that looks later sees the other's.
-    token = session.liveliness().declare_token(network_key(hand, f"{CLAIMS}/{own}"))
-    for endpoint in endpoints:
-        try:
-            # A session of its own, since a router passes nothing on from one hand to another.
-            look = open_client([endpoint], _ROUTER_WITHIN, certificates)
-        except NoHand:
-            continue
-        try:
-            with contextlib.suppress(zenoh.ZError):  # if the router ends meanwhile
-                _look_for_others(hand, own, endpoint, look)
-        finally:
-            close_session(look)
-    return token
-
-
-def _look_for_others(hand: str, own: str, endpoint: str, session: zenoh.Session) -> None:
-    """Wait until no other hand of a name is at a router; raise `ConfigError` if one stays."""
+    try:
+        # A session of its own, since a router passes nothing on from one hand to another.
+        session = open_client([endpoint], _ROUTER_WITHIN, certificates)
+    except NoHand:
+        return
 
     def found(key: str) -> set[str]:
         tokens = session.liveliness().get(network_key(hand, key), timeout=_ROUTER_WITHIN)
         return {str(each.ok.key_expr).rpartition("/")[2] for each in tokens if each.ok}
 
     begun = monotonic.now()
-    while True:
-        # Running ones by both tokens, since hands of earlier versions have no claim.
-        claims, running = found(f"{CLAIMS}/*"), found(ALIVE)
-        others = claims - {own}
-        passed = monotonic.now() - begun
-        if not (others or running) and (own in claims or passed > _GONE_WITHIN):
-            return
-        # Of those that start now, the others give up first.
-        first = not running and own < min(others, default="")
-        if (others or running) and passed > (2 if first else 1) * _GONE_WITHIN:
-            raise ConfigError(
-                f"a hand '{hand}' is already running at {endpoint}; give this one "
-                "another name: that of its folder, and name: in its hand.yaml"
-            )
-        monotonic.sleep(_POLL)
+    try:
+        with contextlib.suppress(zenoh.ZError):  # if the router ends meanwhile
+            while True:
+                claims = found(f"{CLAIMS}/*")
+                others = claims - {own}
+                passed = monotonic.now() - begun
+                if not others and (own in claims or passed > _GONE_WITHIN):
+                    return
+                # Of those that start now, the others give up first.
+                first = own < min(others, default="") and not found(ALIVE)
+                if others and passed > (2 if first else 1) * _GONE_WITHIN:
+                    raise ConfigError(
+                        f"a hand '{hand}' is already running at {endpoint}; give this one "
+                        "another name: that of its folder, and name: in its hand.yaml"
+                    )
+                monotonic.sleep(_POLL)
+    finally:
+        close_session(session)
 
 
 class Server:
@@ -361,9 +358,14 @@ class Server:
                 open_server, socket, others, settings.connect, protection.settings
             )
             stack.push_async_callback(in_thread, partial(close_session, session))
-            # Before it receives anything. It lasts as long as the session.
-            _claim = await in_thread(
-                _claim_name, hand.name, session, settings.connect, protection.link
+            # Before it receives anything. The claim lasts as long as the session.
+            own, _claim = await in_thread(_claim_name, hand.name, session)
+            # At all routers at once: each silent one takes seconds.
+            await asyncio.gather(
+                *(
+                    in_thread(_check_name, hand.name, own, at, protection.link)
+                    for at in settings.connect
+                )
             )
             connections = Connections(session, str(socket))
             stack.push_async_callback(in_thread, connections.close)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
@@ -12,14 +13,13 @@ import pytest
 
 import rtee
 from rtee.cli._fleet import _table as fleet_table
-from rtee.errors import ConfigError, LeaseHeld, RemoteError
+from rtee.errors import ConfigError, LeaseHeld, NoHand, RemoteError
 from rtee.hand.config_schema import SecuritySettings
 from rtee.messages.requests import Role
-from rtee.remote import credentials
+from rtee.remote import credentials, server
 from rtee.remote.credentials import Credentials
 from rtee.remote.fleet import following
 from rtee.remote.router import route, router_settings
-from rtee.remote.server import _claim_name
 from rtee.remote.session import close_session, open_client
 
 from .serving import (
@@ -116,11 +116,13 @@ async def test_of_two_hands_of_a_name_that_start_at_once_one_stays() -> None:
     endpoint, refused = free_endpoint(), list[str]()
     sessions = []
 
-    def claim() -> None:
+    def begin() -> None:
         session = open_client([endpoint], 10.0)
         sessions.append(session)
         try:
-            claims.append(_claim_name("left", session, [endpoint], {}))
+            own, claim = server._claim_name("left", session)
+            server._check_name("left", own, endpoint, {})
+            claims.append(claim)
         except ConfigError as error:
             refused.append(error.message)
             close_session(session)  # as the hand ends
@@ -130,13 +132,31 @@ async def test_of_two_hands_of_a_name_that_start_at_once_one_stays() -> None:
         try:
             async with anyio.create_task_group() as group:
                 for _ in range(3):
-                    group.start_soon(anyio.to_thread.run_sync, claim)
+                    group.start_soon(anyio.to_thread.run_sync, begin)
             assert len(claims) == 1
             assert len(refused) == 2
             assert all("'left' is already running" in each for each in refused)
         finally:
             for session in sessions:
                 close_session(session)
+
+
+async def test_silent_routers_are_waited_for_at_the_same_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    met = threading.Barrier(3)
+
+    def silent(*_: object) -> None:
+        # One after the other would not meet.
+        met.wait(timeout=20.0)
+        raise NoHand("nothing answers")
+
+    monkeypatch.setattr(server, "open_client", silent)
+    own = SecuritySettings(insecure=True)
+    config = Config(Remote(connect=[free_endpoint() for _ in range(3)], security=own))
+    hand = make_hand(tmp_path, "left")
+    async with serving(hand, make_library(hand), config=config):
+        assert not met.broken
 
 
 async def test_two_hands_and_three_clients_with_certificates(
