@@ -97,7 +97,7 @@ class SetAcceptsEffort:
 
 @dataclass(frozen=True, slots=True)
 class Abort:
-    """End the running goal as aborted if it involves any of some actuators.
+    """End the running goal as aborted if it involves any of the given actuators.
 
     Attributes:
         reason: Why, in words, for the goal's result.

@@ -155,7 +155,7 @@ class ActionFiles:
         self.folder, self.openings = folder, os.path.join(folder.parent, OPENINGS)
 
     def read(self, keep: Sequence[Action] = ()) -> ActionIndex:
-        """Return the actions in the files, and those to keep, which exist only in memory.
+        """Return the actions in the files together with those in ``keep``, which have no file.
 
         Raises:
             ActionError: for every mistake in the files, with file and line.
@@ -187,7 +187,7 @@ class ActionFiles:
         return normalise(name) in self._stored
 
     def write(self, index: ActionIndex, action: Action) -> None:
-        """Write an action to its file; a primitive with all other primitives.
+        """Write an action to its file; for a primitive, write all primitives.
 
         Raises:
             ActionError: if the action uses one that is not stored.
@@ -236,7 +236,7 @@ class ActionFiles:
             self._remember()
 
     def rename(self, action: Action, new_name: str, changed: Sequence[CustomAction]) -> None:
-        """Store a stored action under another name, and the actions that use it.
+        """Rename an action in its file, and in the files of the actions that use it.
 
         Args:
             action: The action with its old name.
@@ -396,7 +396,7 @@ class Changes:
 
 
 def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive]) -> Changes:
-    """Return the changes after which a folder holds exactly these primitives, one file per kind.
+    """Return the file changes that leave exactly these primitives in a folder, one file per kind.
 
     The same primitives give the same text. Keeps people's comments in the files, and deletes files
     of kinds without primitives.
@@ -422,7 +422,7 @@ def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive])
 def custom_changes(
     folder: Path, actions: Iterable[CustomAction], before: Mapping[str, Path] = MappingProxyType({})
 ) -> Changes:
-    """Return the changes after which a folder holds these composed, timed or generic actions.
+    """Return the file changes that store these composed, timed or generic actions in a folder.
 
     Keeps comments in their files.
 
@@ -501,7 +501,7 @@ def read_definition(kind: ActionKind, path: Path) -> Definition:
 
 
 class Builder:
-    """Makes actions from definitions, each after those that it refers to."""
+    """Makes actions from definitions, in the order of their references."""
 
     def __init__(
         self, hand: Hand, primitives: Sequence[Primitive], definitions: Mapping[str, Definition]

@@ -30,7 +30,7 @@ def clearance_text(clearance: float) -> str:
 
 
 def deeper_text(primitive: Primitive) -> str:
-    """Describe a posture of a pinch much deeper than the executed one; empty without one."""
+    """Describe the posture of a pinch that is much deeper than the executed one, if any."""
     deeper = primitive.deeper
     if deeper is None:
         return ""

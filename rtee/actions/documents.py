@@ -374,7 +374,7 @@ def read_document(path: Path) -> YamlDocument:
 
 @contextmanager
 def located(document: YamlDocument, location: Sequence[str | int]) -> Iterator[None]:
-    """Add the file and line of an entry to errors inside the context that have none."""
+    """Add an entry's file and line to errors from inside the context that state none."""
     try:
         yield
     except UserError as error:

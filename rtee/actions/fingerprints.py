@@ -1,4 +1,4 @@
-"""Fingerprints of a hand's files and actions, by which outdated results are recognised."""
+"""Fingerprints of a hand's files and actions, which show whether results are outdated."""
 
 from __future__ import annotations
 

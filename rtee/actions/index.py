@@ -219,7 +219,7 @@ class ActionIndex:
         )
 
     def without(self, action: Action) -> tuple[Action, ...]:
-        """Return all actions except that of the same name (and elements)."""
+        """Return all actions except the one with the same name (and elements)."""
         if isinstance(action, Primitive):
             key = self._key(action.elements)
             return tuple(

@@ -93,7 +93,7 @@ class ActionLibrary:
 
     @property
     def openings(self) -> Openings:
-        """The openings of the actions, by the present file beside them.
+        """The openings of the actions, from the present file beside them.
 
         Raises:
             ConfigError: if the file is invalid.

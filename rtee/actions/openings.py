@@ -1,4 +1,4 @@
-"""Tables of the distances and forces between the fingertips of actions.
+"""Openings of actions: tables of the distance and the force between the fingertips.
 
 The *opening* of an action is the least distance between its opposing tips. Its table holds, by
 intensity, the opening and the actuators' *levers*: the decrease of the opening per unit of each
@@ -215,7 +215,7 @@ class Opening:
 
 @dataclass(frozen=True)
 class Meeting:
-    """Contacts of the empty hand with itself on the path of one action from rest.
+    """Contacts of the empty hand with itself along the path of one action from rest.
 
     Attributes:
         action: Name of the action.
@@ -243,7 +243,8 @@ def doubtful(action: Action) -> bool:
 def crowded(action: Action, opening: Opening) -> bool:
     """Return whether fingers of one side press on one another at the action's posture.
 
-    If they do, they meet each other before an object, and sensors feel them as one.
+    Such fingers meet each other before they meet an object, and touch sensors cannot tell them
+    apart.
     """
     if not (isinstance(action, Primitive) and action.evidence):
         return False
@@ -301,8 +302,8 @@ def meeting(
     """Return the opening at which the empty hand's fingers meet one another [m].
 
     It is the opening at the first contact in the action's evidence, or in that of an action with
-    the same posture; otherwise the narrowest of the table. A single motor also moves fingers beside
-    the opening, and may be stopped by their first contact.
+    the same posture; otherwise the narrowest of the table. A single motor also moves fingers that
+    do not take part in the opening; their first contact may stop it.
 
     Args:
         action: The action.
@@ -328,7 +329,7 @@ def meeting(
 def best_for(
     hand: Hand, actions: Sequence[tuple[Action, Opening]], width: float, margin: float = MARGIN
 ) -> tuple[Action, Opening]:
-    """Return the action that suits an object of a width best, and its opening; the first of equals.
+    """Return the action that best suits an object of a width, and its opening; the first if equal.
 
     The criteria, in order: collision-free and in force closure; closes further than the object is
     wide; opens by the whole margin; fingers of one side clear of one another; those of one side not
@@ -430,7 +431,7 @@ class Openings:
         return self._looked_up(action)[0]
 
     def known(self, actions: Iterable[Action]) -> list[tuple[Action, Opening]]:
-        """Return those of some actions that have an opening, together with it.
+        """Return the actions that have an opening, each with its opening.
 
         Raises:
             ActionError: if none has one; the message says why.
@@ -455,7 +456,7 @@ class Openings:
     def _looked_up(
         self, action: Action
     ) -> tuple[Opening | None, Mapping[str, float] | None, Action]:
-        """Return opening and meeting of an action, which are looked up once."""
+        """Return an action's opening and its contacts of the empty hand, cached."""
         # By name: the action that opens the hand, for one, is a new object for every goal.
         name = action.name, action.elements
         known = self._known.get(name)
@@ -516,7 +517,7 @@ def _key(action: str, elements: tuple[str, ...]) -> tuple[str, frozenset[str]]:
 
 
 def to_document(openings: Openings) -> dict[str, Any]:
-    """Return openings as plain data; the same ones give the same data."""
+    """Return openings as plain data; equal openings give equal data."""
     entries = [
         {
             "action": table.action,

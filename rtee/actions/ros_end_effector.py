@@ -122,7 +122,7 @@ class _Source:
     document: YamlDocument
 
     def read(self, model: type[M], *at: str) -> M:
-        """Return the content, or that at a location inside it, as a dataclass."""
+        """Return the content, or the part of it at a location, as a dataclass."""
         data: Any = self.data
         for part in at:
             data = data[part]
@@ -429,7 +429,7 @@ def find_parts(
     fingers: Collection[str] = (),
     start: int = 0,
 ) -> list[ActionReference] | None:
-    """Return actions without common actuators that have these set-points together, or ``None``.
+    """Return actions with no actuator in common that together give these set-points, or ``None``.
 
     Args:
         hand: The hand.

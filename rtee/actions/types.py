@@ -22,7 +22,7 @@ class ActionKind(StrEnum):
 
 
 class PrimitiveKind(StrEnum):
-    """The seven kinds of primitives with their properties, except the search that finds them.
+    """The seven kinds of primitives and their properties; `rtee.extract` has the search for each.
 
     Attributes:
         label: Description in a few words.
@@ -174,10 +174,10 @@ class ActionReference(Value):
 
     @classmethod
     def of(cls, what: ActionReference | str, elements: Sequence[str] = ()) -> ActionReference:
-        """Return the use that a string describes; a use is returned unchanged.
+        """Return the reference that a string describes; a reference is returned unchanged.
 
         Args:
-            what: The use, or its string.
+            what: The reference, or its string.
             elements: Its elements, if the string has none.
 
         Raises:

@@ -300,7 +300,7 @@ class _Tool(Tool):
 
 
 def _wrong(error: Mapping[str, Any]) -> str:
-    """Return what is wrong with an argument, by one of pydantic's errors."""
+    """Return one of pydantic's errors as a sentence about the argument."""
     words = {
         "extra_forbidden": "is not an argument of this tool",
         "missing": "is missing",

@@ -1,4 +1,4 @@
-"""Exchanges that may fail: repeat those that time out on a busy computer, or note a silence."""
+"""Exchanges that may fail: retry those that a busy computer delays, or accept a silence."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ class SerialBus(Bus):
         return answer
 
     def _not_silent(self, ask: Callable[[], None]) -> bool:
-        """Return whether the gap is not over yet; if so, call ``ask`` again at its end."""
+        """Return whether the silent gap still lasts; if so, call ``ask`` again at its end."""
         # `ask` checks again, since a late answer may have extended the gap meanwhile.
         if not self.gap or (due := self._last + self.gap) <= monotonic.now():
             return False

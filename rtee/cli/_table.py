@@ -36,7 +36,8 @@ _PADDED: Final = 44
 class Column:
     """A column of a table, aligned to the right for numbers.
 
-    The lines of a whole one are wrapped only if the others would have no room otherwise.
+    The lines of a ``whole`` column are wrapped only if the other columns would otherwise have no
+    room.
     """
 
     name: str

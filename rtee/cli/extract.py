@@ -212,7 +212,7 @@ def _tried(
 
 
 def _hand_in(model: ReadableModel, srdf: Path | None, subtree: Subtree | None) -> HandModel:
-    """Load a hand from its model as `rtee new` would make it, with what is not in the URDF."""
+    """Load a hand from its model as `rtee new` would make it, with what the URDF leaves out."""
     from rtee.hand.load import load_model
     from rtee.hand.scaffold import settle
     from rtee.hand.urdfread import read_urdf

@@ -147,7 +147,7 @@ def new_driver(
 
 
 def subtree_of(root: str | None, outside: Outside) -> Subtree | None:
-    """Return which part of a robot is the hand; raises `ConfigError` for ``outside`` without it."""
+    """Return the part of a robot that is the hand; ``None``: all. ``outside`` needs a ``root``."""
     from rtee.hand.subtree import Subtree
 
     if root is None and outside is not Outside.ABSENT:

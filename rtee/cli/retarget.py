@@ -99,7 +99,7 @@ def _open_page(folder: Path, file: Path | None, port: int) -> None:
 async def answered(
     retargeter: Retargeter, frames: Sequence[TrackerFrame]
 ) -> AsyncIterator[tuple[FloatArray, FloatArray]]:
-    """Yield a person's points beside the robot, and its positions, repeatedly and in real time."""
+    """Yield a person's points, placed beside the robot, and its positions; repeats in real time."""
     from rtee.retarget.frames import due
 
     while True:

@@ -277,7 +277,7 @@ def _results_in_file(name: str, trials: Sequence[Trial], out: Path | None) -> Tr
 
 @dataclass(frozen=True, slots=True)
 class _Words:
-    """Names the results kept after a sweep ended early."""
+    """Words for the results that are kept when a sweep ends early."""
 
     total: int
     again: bool

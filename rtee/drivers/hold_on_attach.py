@@ -35,11 +35,11 @@ class Attached:
         self._first: dict[int, float] = {}
 
     def __bool__(self) -> bool:
-        """Return whether any actuator is still to be left alone."""
+        """Return whether there is any actuator to which no reference may be sent yet."""
         return bool(self._left)
 
     def begin(self, found: Iterable[int] = ()) -> None:
-        """Leave alone the actuators that were found active (indices), and no others."""
+        """Send no references to the actuators found active (indices); forget earlier ones."""
         self._left = set(found)
         self._first.clear()
 

@@ -100,7 +100,7 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
 
     @abstractmethod
     def _effort(self, part: float) -> float:
-        """Return the effort limit once a part of the force, 0 to 1, has built up."""
+        """Return the effort limit when a part of the force, 0 to 1, has built up."""
 
     def _set(self, address: int, values: Sequence[int]) -> None:
         """Set target registers, and carry out a command among them; raises `Refused`."""

@@ -130,18 +130,18 @@ class Plausibility:
             self._doubted.pop(i, None)
 
     def doubted(self, indices: Iterable[int]) -> bool:
-        """Return whether any of some actuators has an implausible measured position."""
+        """Return whether any of the given actuators has an implausible measured position."""
         return bool(self._doubted) and any(i in self._doubted for i in indices)
 
     def leaping(self, indices: Iterable[int], stamp: float) -> bool:
-        """Return whether the position of any given actuator is unsettled after a leap.
+        """Return whether the position of any of the given actuators is unsettled after a leap.
 
         The leap may be plausible, but too few later measurements agree with it yet.
         """
         return any(stamp < self._leaping_until[i] for i in indices)
 
     def broken(self, indices: Iterable[int]) -> int | None:
-        """Return the first of some actuators whose position is persistently implausible."""
+        """Return the first given actuator whose position is persistently implausible."""
         for i in indices if self._doubted else ():
             if i in self._doubted and self._doubted[i].steps >= _PERSISTENT:
                 return i

@@ -298,7 +298,7 @@ class ServoScale:
         return round(abs(torque) / self.limit_unit)
 
     def unwrap(self, position: float, lower: float, upper: float) -> None:
-        """Choose the turn that places a position [counts] in a range [rad], or nearest to it.
+        """Choose the turn that brings a position [counts] into a range [rad], or nearest to it.
 
         After a power cycle a servo counts within one turn again, so that a joint whose range
         crosses the wrap may read a whole turn off.

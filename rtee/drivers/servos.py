@@ -252,7 +252,8 @@ class ServoDriver(Driver, Generic[L]):
     ) -> tuple[Mapping[str, ServoOptions], tuple[float, float], ServoCoupling | None]:
         """Return the servos by their names, in the order of the actuators, and their coupling.
 
-        Between the two: the angle per count [rad] and the middle position [counts] of a servo.
+        The middle item of the result has the angle per count [rad] and the middle position [counts]
+        of a servo.
         """
 
     @abstractmethod
@@ -311,7 +312,7 @@ class ServoDriver(Driver, Generic[L]):
 
     @abstractmethod
     async def _errors(self, errors: Mapping[int, int]) -> Mapping[int, IntFlag]:
-        """Return the errors behind the error bytes of servos, by id."""
+        """Return the errors that the servos' error bytes stand for, by id."""
 
     @abstractmethod
     def _most(self, i: int) -> int:

@@ -67,8 +67,8 @@ class Standstill:
     def instead(self, position: Sequence[float]) -> dict[int, float]:
         """Return the positions of actuators that must not hold their measured position, by index.
 
-        Each is the reference sent last or, if there was none, the last position that was believed
-        [rad | m]. All other actuators hold the measured position.
+        Each is the reference sent last or, if there was none, the last plausible position [rad |
+        m]. All other actuators hold the measured position.
 
         Args:
             position: The posture measured just now ``(n,)`` [rad | m].

@@ -187,12 +187,12 @@ class Linkage:
         return np.append(lacking, apart), np.vstack([pull, root[:, None] * levers])
 
     def _force(self, x: float, q: FloatArray) -> FloatArray:
-        """Return the springs' forces on the others ``(n,)`` [N·m | N]."""
+        """Return the springs' forces on the other joints ``(n,)`` [N·m | N]."""
         lacking, pull = self._springs(x, q)
         return np.asarray(pull[:, 1:].T @ lacking)
 
     def _stiffness(self, x: float, q: FloatArray, left: FloatArray) -> FloatArray:
-        """Return the springs' stiffness ``(k, k)`` along open directions ``(n, k)`` [N·m/rad].
+        """Return the springs' stiffness ``(k, k)`` along the free directions ``(n, k)`` [N·m/rad].
 
         The levers of cords and the open directions turn with the posture, which adds stiffness. So
         the stiffness is a difference of the forces along the open directions of neighbouring
@@ -216,7 +216,7 @@ class Linkage:
         return np.asarray(pull.T @ pull)
 
     def slopes(self, x: float, q: FloatArray) -> FloatArray:
-        """Return the velocities of the others per that of the joint ``(n,)``, in a closed linkage.
+        """Return the others' velocities relative to the joint's ``(n,)``, in a closed linkage.
 
         Approximate if springs decide them, since springs count as rigid here.
         """
@@ -254,11 +254,11 @@ class Linkage:
         return np.append(residual, away), np.vstack([jacobian[:, 1:], np.eye(len(q))[stops]])
 
     def _open(self, x: float, q: FloatArray) -> FloatArray:
-        """Return a basis ``(n, k)`` of the open directions of the others."""
+        """Return a basis ``(n, k)`` of the directions in which the other joints can still move."""
         return null_space(self._held(x, q)[1], _FLAT)
 
     def close(self, x: float, q: FloatArray) -> FloatArray | None:
-        """Return the positions of the others near ``q`` for the joint at ``x``, or ``None``."""
+        """Return the other joints' positions near ``q`` for the joint at ``x``, or ``None``."""
         best, least = q, math.inf
         for _ in range(_ROUNDS):
             residual, jacobian = self._held(x, q)
@@ -687,7 +687,7 @@ def _positions(model: mujoco.MjModel, group: _Group) -> tuple[FloatArray, FloatA
 
 
 def _springs_decide(group: _Group, q: FloatArray, free: FloatArray) -> FloatArray:
-    """Move joints ``q`` along open directions ``(n, k)`` to the equilibrium of the springs.
+    """Move joints ``q`` along the free directions ``(n, k)`` to the equilibrium of the springs.
 
     Changes ``q``; returns a basis of the directions that the springs leave open.
     """

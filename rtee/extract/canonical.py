@@ -168,7 +168,7 @@ def canonical(hand: Hand) -> Canonical:
 
 
 class _Points:
-    """Points of a hand's fingers, at rest and bent, that distinguish the fingers.
+    """Points of a hand's fingers, at rest and bent, by which the fingers can be told apart.
 
     Attributes:
         size: Largest distance between two of the points [m].
@@ -222,7 +222,7 @@ class _Points:
         return candidates[0][0], candidates[0][1] < 0.0
 
     def places(self, order: Sequence[int], mirrored: bool) -> Mapping[str, tuple[float, ...]]:
-        """Return features that order all links: distances from the fingers' points, by link."""
+        """Return distances from the fingers' points by link; they put all links in order."""
         chosen = self.points[list(order)].reshape(-1, 3)
         size = self.size or 1.0
         if not len(chosen):
@@ -234,7 +234,9 @@ class _Points:
         return found
 
     def _orders(self) -> Iterable[tuple[int, ...]]:
-        """Return orders of the fingers: by most actuators, most own ones, then those with a tip."""
+        """Return orders of the fingers: by actuators, then own ones, the most first; then with a
+        tip.
+        """
         groups: dict[tuple[int, ...], list[int]] = {}
         for i, finger in enumerate(self._fingers):
             key = (-len(finger.actuators), -len(finger.own), finger.tip is None)

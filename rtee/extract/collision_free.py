@@ -1,4 +1,4 @@
-"""Search for poses without unwanted collisions, in the pose and on the straight path to it."""
+"""Search for poses that are free of unwanted collisions, and so are the straight paths to them."""
 
 from __future__ import annotations
 
@@ -228,7 +228,7 @@ class ClearSearch:
         return [self._still(y, penalised) or self._settle(y) for y in pool]
 
     def _still(self, y: FloatArray, penalised: Objective) -> Minimum | None:
-        """Return a pose that still is a minimum, since no constraint has changed its value."""
+        """Return a known minimum if no constraint has changed its value since."""
         known = self._settled_at.get(y.tobytes())
         if known is None or MEDIUM.rounded_value(penalised(y)[0]) != known.value:
             return None
@@ -268,7 +268,7 @@ class ClearSearch:
         return y if self._function.reached(y) else self._improve_recalibrated(y)
 
     def _hits(self, y: FloatArray) -> list[LinkPair]:
-        """Return pairs of links that collide at a pose; none of them if it is clear."""
+        """Return pairs of links that collide at a pose; empty if it is clear."""
         # Round as in storage: the checked posture must be the stored one.
         u = self._function.stored(y)
         # Check nested links, which are costly, only if the others are clear.
@@ -363,7 +363,7 @@ class ClearSearch:
         return [(MEDIUM.rounded_value(g), MEDIUM.rounded_slope(rise) + 0.0) for g, rise in gaps]
 
     def _above(self, gaps: Sequence[tuple[float, FloatArray]], at: FloatArray) -> Objective:
-        """Return the goal with a penalty on linear gaps below 0."""
+        """Return the goal with a penalty for negative linear gaps."""
         goal = self._constraints.penalised(paths_only=True)
 
         def function(y: FloatArray) -> tuple[float, Slope]:

@@ -257,7 +257,7 @@ class Collisions:
         return found
 
     def _fingers(self, closing: PinchClosing) -> list[frozenset[int]]:
-        """Return the bodies that belong to one finger only: its bars, and the chain of its tip."""
+        """Return the bodies that belong to a single finger: its bars, and the chain of its tip."""
         supports = [
             frozenset(self._scene.kinematics.model.supports[body]) | bars
             for body, bars in zip(closing.bodies, closing.bars, strict=True)
@@ -445,11 +445,11 @@ class CollisionChecker:
         return self._colliding(u, 0, len(self.pairs))
 
     def unnested(self, u: FloatArray) -> list[LinkPair]:
-        """Return the colliding pairs among those that are not nested at rest."""
+        """Return the pairs that collide, without those of links that are nested at rest."""
         return self._colliding(u, 0, len(self.pairs) - self._nested)
 
     def nested(self, u: FloatArray) -> list[LinkPair]:
-        """Return the colliding pairs among those that are nested at rest."""
+        """Return the pairs that collide among those of links that are nested at rest."""
         return self._colliding(u, len(self.pairs) - self._nested, len(self.pairs))
 
     def _colliding(self, u: FloatArray, begin: int, end: int) -> list[LinkPair]:

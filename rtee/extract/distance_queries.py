@@ -183,7 +183,7 @@ class DistanceQueries:
         return known
 
     def least(self, joints: FloatArray, convex: DistanceQueries | None = None) -> tuple[float, int]:
-        """Return the least distance [m] and the number of its couple.
+        """Return the links' least distance [m] and the number of the nearest couple of shapes.
 
         The distance is negative if convex shapes overlap. With ``convex``, the queries of the
         convex parts, couples whose convex parts are farther apart than the nearest couple are not

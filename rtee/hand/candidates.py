@@ -280,8 +280,9 @@ def motor_notes(hand: Hand) -> list[str]:
 def carriers(hand: Hand) -> tuple[str, ...]:
     """Return the actuators that move all fingers as one body, as in a wrist, in the hand's order.
 
-    All joints that such an actuator moves on the path to any fingertip are on the paths to all of
-    them. The result is empty if no other actuator would be left, or with fewer than two fingers.
+    Every joint that such an actuator moves on the path to one fingertip is on the paths to all
+    fingertips. The result is empty if no other actuator would be left, or with fewer than two
+    fingers.
     """
     tips = [finger.tip for finger in hand.fingers if finger.tip]
     if len(tips) < 2:

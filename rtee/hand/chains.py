@@ -140,7 +140,7 @@ def fingers_of(srdf: Srdf, urdf: Urdf) -> tuple[Chain, ...]:
     ``<end_effector>``, or ``end_effector_fingers``, or the largest one. If the group of the
     ``<end_effector>`` holds links, joints or several chains, as MoveIt writes it, it names the hand
     and not its fingers. Otherwise every group that is a chain is a finger, except chains that carry
-    others, as that of an arm.
+    others, such as that of an arm.
 
     Raises:
         ModelError: if a member of the group of fingers is not a single chain, or groups contain one
@@ -179,8 +179,8 @@ def fingers_of(srdf: Srdf, urdf: Urdf) -> tuple[Chain, ...]:
 def joints_of_hand(srdf: Srdf, urdf: Urdf) -> frozenset[str] | None:
     """Return the joints inside the groups of the hand; ``None`` if the SRDF names none.
 
-    Those are the joints of the group that `fingers_of` takes, of its subgroups, and those between
-    its links; otherwise those of the fingers.
+    These are the joints of the group that `fingers_of` uses and of its subgroups, and those between
+    its links; without such a group, the joints of the fingers.
     """
     chosen = _group_of_fingers(srdf)
     if chosen is None:

@@ -170,8 +170,8 @@ def _named(found: Sequence[Linked], urdf: Urdf, movers: Mapping[str, Mover]) -> 
 def find_branches(urdf: Urdf, moved: Container[str]) -> list[Chain]:
     """Return the branches of a tree that a joint moves and that end in collision geometry.
 
-    They have no names yet; their base is the link where they separate from the others, or where
-    the first joint moves a single one.
+    They have no names yet; their base is the link where they separate from the others, or from
+    which the first joint moves this branch alone.
     """
     ends = _ends(urdf, moved)
     if len(ends) == 1:

@@ -291,7 +291,7 @@ def rest_note(
 def images_outside(
     joints: Sequence[Joint], specs: Sequence[ActuatorSpec], transmission: Transmission
 ) -> list[str]:
-    """Return notes on mimic joints that leave their limits when their actuator moves."""
+    """Return notes on mimic joints that exceed their limits when their actuator moves."""
     notes = []
     for joint, coupling in zip(joints, transmission.couplings, strict=True):
         if joint.role is not JointRole.MIMIC or coupling.actuator is None:

@@ -186,7 +186,7 @@ class Hand:
 
     @cached_property
     def tip_links(self) -> Mapping[str, str]:
-        """The finger of each link that is part of a fingertip."""
+        """The finger of each fingertip link, by link."""
         return {link: finger.name for finger in self.fingers for link in finger.tip_links}
 
     def actuator(self, name: str) -> ActuatorSpec:

@@ -81,7 +81,7 @@ def free_name(stem: str, taken: Container[str], suffix: str = "") -> str:
 
 
 def unique_names(names: Iterable[str]) -> list[str]:
-    """Return names with numbers from 2 on appended to those that were there already."""
+    """Return the names made unique: a repeated name gets a number from 2 on."""
     unique: list[str] = []
     for name in names:
         unique.append(free_name(name, unique))

@@ -112,7 +112,7 @@ def without_geometry(urdf: Urdf, movers: Collection[str]) -> list[str]:
 
 
 def check_one_hand(hand: Hand) -> None:
-    """Refuse a robot of which only one or several parts are hands, and name these.
+    """Refuse a robot with several hands, or with other parts besides its hand; name the hands.
 
     Raises:
         ModelError: if the robot has several hands, or other parts besides one, or limbs and no

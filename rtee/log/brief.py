@@ -67,7 +67,7 @@ class Brief:
     damage: tuple[str, ...] = ()
 
     def of(self, kind: str) -> Iterator[Sequence[Any]]:
-        """Yield the entries of a kind, without the kind itself."""
+        """Yield the entries of one kind, each without its first item, the kind."""
         return (each[1:] for each in self.told if each[0] == kind)
 
 

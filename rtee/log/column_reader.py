@@ -113,7 +113,7 @@ def messages_of(
 
 
 def messages_in(rows: Bytes, records: Sequence[int]) -> dict[int, Messages]:
-    """Return the messages of ticks by channel; the records begin at some offsets of each row.
+    """Return the messages of ticks by channel; ``records`` are the offsets of records in each row.
 
     Raises:
         MessageError: if there are no messages.
@@ -153,7 +153,7 @@ def _indexed(
 
 
 def order_of(times: NDArray[np.int64]) -> slice | NDArray[np.int64]:
-    """Return the index that sorts by time; a slice, which copies nothing, for sorted times."""
+    """Return an index that sorts by time; for sorted times a slice, which copies nothing."""
     if times.size < 2 or bool((times[1:] >= times[:-1]).all()):
         return slice(None)
     # Stable, so that messages of the same time stay in the order of the file.

@@ -396,7 +396,7 @@ def figure(
 
 @dataclass(frozen=True, slots=True)
 class _Told:
-    """The parts of goals and events that are plotted."""
+    """The entries of a recording that the plot shows: goals and events."""
 
     goals: list[Entry[Goal]]
     plans: list[Entry[Plan]]

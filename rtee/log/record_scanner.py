@@ -114,8 +114,8 @@ class Record:
 class Finder:
     """Finds records in a file of ``size`` bytes.
 
-    No search begins before the end of what was found before, so that a walk takes a time
-    proportional to the file's size.
+    A search never begins before the end of the previous find, so scanning a file takes a time
+    proportional to its size.
     """
 
     def __init__(self, stream: BinaryIO) -> None:

@@ -51,12 +51,12 @@ _arrays = attrgetter(*COLUMNS)
 
 
 class PackedTicks:
-    """A piece of a backlog: some ticks, which are added by one thread and taken by another.
+    """A piece of the backlog: ticks that one thread adds and another takes.
 
-    As records, the ticks of some seconds are a hundred thousand objects. Other objects settle
-    between them, so that the process would never return their memory to the system. Here they are
-    rows of one separate mapping, which is returned with this object. All have arrays of the same
-    lengths as the tick ``like``.
+    As records, the ticks of some seconds are a hundred thousand objects. Other objects would be
+    allocated between them, and the process would never return their memory to the system. Here they
+    are rows of one separate mapping, which is returned with this object. All have arrays of the
+    same lengths as the tick ``like``.
     """
 
     def __init__(self, like: TickRecord) -> None:
@@ -276,14 +276,14 @@ class Recorder(Observer):
             self._queue.put(self._packed(record))
 
     def _capture(self, controller: Controller, record: TickRecord) -> None:
-        """Have the state of the controller written, if a file was begun after the first tick."""
+        """Queue the controller's state for a newly begun file, unless this is the first tick."""
         self._writer.sink.begun = False
         if record.tick:
             snapshot = capture(controller)
             self._queue.put(lambda: self._writer.state(snapshot, record.tick, record.stamp))
 
     def _packed(self, record: TickRecord) -> PackedTicks | TickRecord:
-        """Add a tick to a piece of the backlog; return the piece, or the tick if it fits none."""
+        """Add a tick to the backlog and return the piece it is in; return a tick that fits none."""
         if self._backlog is not None and self._backlog.add(record):
             return self._backlog
         backlog = PackedTicks(record)

@@ -160,7 +160,8 @@ def touch_series(
 ) -> tuple[dict[str, TouchSeries], int]:
     """Return states of touch sensors as series by device, and the number of states left out.
 
-    They come in order, each with its time; it and the recording's start are since 1970 [ns].
+    The states of a device come in order, each with its time since 1970 [ns]; ``start`` is the start
+    of the recording, since 1970 [ns].
     """
     series, others = {}, 0
     for device, states in by_device.items():

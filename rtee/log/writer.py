@@ -381,7 +381,7 @@ class LogWriter:
             self.sink.attach(to_bytes(snapshot, **more))
 
     def item(self, item: Item, stamp: float) -> None:
-        """Encode any other item of time ``stamp``, CLOCK_MONOTONIC [s]."""
+        """Encode an item other than a tick; ``stamp``: its time on CLOCK_MONOTONIC [s]."""
         if isinstance(item, ObjectDescription):  # also for files that are begun later
             self._contents.latched[topics.OBJECT] = convert.OBJECT.encode(item)
         if self.idle:

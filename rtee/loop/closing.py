@@ -108,7 +108,7 @@ def leg_speed(plan: Plan, leg: int, hand: Hand) -> float:
 
 
 def squeezing_speed(plan: Plan, hand: Hand) -> float:
-    """Return the share of the velocity limits once most of the force is there; 1: unchanged."""
+    """Return the share of the velocity limits once most of the force has built up; 1: unchanged."""
     if plan.grip is None or not plan.grip.bends:
         return 1.0
     return min(_CHATTERING * leg_speed(plan, len(plan.legs) - 1, hand), 1.0)

@@ -202,7 +202,7 @@ def both_press(sides: Sequence[float]) -> bool:
 
 
 def keeps_pace(*, moved: float, wanted: float, left: float, tolerance: float) -> bool:
-    """Return whether an actuator that hardly moves does so as slowly as its reference.
+    """Return whether an actuator that hardly moves keeps pace with an equally slow reference.
 
     Args:
         moved: Its travel since it was last known to move [rad | m].
@@ -217,9 +217,9 @@ def keeps_pace(*, moved: float, wanted: float, left: float, tolerance: float) ->
 
 
 def is_bound(effort: float, limit: float) -> bool:
-    """Return whether an effort limit may bound an effort: without the limit, it might be larger.
+    """Return whether an effort may be capped by its limit: without the limit, it might be larger.
 
-    What moves with such an effort moves as the limit lets it, and shows no free motion.
+    Such an effort does not show what free motion takes.
 
     Args:
         effort: The effort [N·m | N]; ``NaN``: not measured.
@@ -284,7 +284,7 @@ def shows(grasping: bool, *, word: bool, effort: float, hard: float) -> bool:
 
 
 def may_be_nothing(opening: float, doubt: float, *, word: bool) -> bool:
-    """Return whether what seems to be held may be the hand itself.
+    """Return whether the fingers may be pressing on the hand itself, not on an object.
 
     Fingertips press on one another as they press on an object. Where the opening is no wider than
     it may be in the empty hand, force and effort say nothing.

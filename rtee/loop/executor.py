@@ -415,7 +415,8 @@ class Executor:
     def _stopped_closing(self, run: _Run) -> bool:
         """Return whether an actuator was stopped while closing in the last leg.
 
-        Others may have been pushed away before the leg began, from rest or beyond their target.
+        An actuator that was pushed away from rest, or beyond its target, before the leg began does
+        not count.
         """
         rest, contact = self._hand.rest, self._contact
         return run.stalled[-1] and any(

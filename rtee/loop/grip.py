@@ -206,7 +206,7 @@ class Grip:
     def opening_error(self, position: Sequence[float]) -> float:
         """Return how far the opening at some positions may be off [m]; ``NaN`` if it is unknown.
 
-        Of fingers that bend, the positions at which they met an object.
+        For fingers that bend, give the positions at which they met an object.
         """
         sags = _SAGS if self.bends and len(self.indices) == 1 else 0.0
         (lever, *_) = self._levers(self.intensity_of(position))
@@ -416,8 +416,8 @@ class Grip:
     def tip_force(self, touch: Sequence[float]) -> float:
         """Return the force that sensors at the fingertips measure [N]; ``NaN``: not at all of them.
 
-        Two sides press on an object equally, but for what it weighs along the closing direction,
-        which one of them bears: the force between them is their mean.
+        Both sides press on an object with the same force, except that one of them also bears its
+        weight along the closing direction: the force between them is their mean.
         """
         one, other = self._sides_felt(touch)
         if self.around:
@@ -454,8 +454,8 @@ class Grip:
         """Return the force between the tips and its error [N], and the source of the figure.
 
         Fingers that bend go on after the tips have met the object, beyond the posture for which the
-        table gives their levers. What the lever has changed since then adds to the error; if it has
-        changed too much, no force is known.
+        table gives their levers. The change of the levers since then adds to the error; if it is
+        too large, the force is not known.
 
         Args:
             position: Positions of all actuators of the hand [rad | m].

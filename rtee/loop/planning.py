@@ -56,7 +56,7 @@ class OpposingTips:
 
 @dataclass(frozen=True, slots=True)
 class FoundAction:
-    """An action, and what follows from it for every goal.
+    """An action, with the data that every goal for it needs.
 
     Attributes:
         action: The action.
@@ -106,7 +106,7 @@ def choose(
     devices: DeviceForces,
     known: dict[Words, FoundAction],
 ) -> FoundAction:
-    """Return the action that a goal asks for; ``known`` are those found before, by their words.
+    """Return the action that a goal asks for; ``known`` caches those found, by the goal's words.
 
     Raises:
         UnknownAction: if there is no such action.
@@ -374,7 +374,7 @@ def _legs(
 
 
 def _share(to: Intensity, action: Action) -> float:
-    """Return the intensity for the stage of a pinch."""
+    """Return the intensity at which a goal's motion ends, given its stage."""
     if isinstance(action, Timed) and to.share != 1.0:
         raise GoalRejected(
             f"'{action.name}' is a timed action, which always runs at intensity 1, not {to.share:g}"

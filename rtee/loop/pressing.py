@@ -196,8 +196,8 @@ class ForceEstimate:
     def error(self, measured: Measured) -> float:
         """Return the error of the force [N].
 
-        By efforts, the force lies between those of the sides, at least. ``NaN`` for efforts of
-        servos with integral control, which hunt within dry friction.
+        If it follows from efforts, the error is at least half the difference between the two sides.
+        It is ``NaN`` for servos with integral control, whose efforts hunt within dry friction.
         """
         felt = self._grip.tip_error(measured.touch)
         if felt == felt:
@@ -416,7 +416,7 @@ class Pressing:
         return rules.strays(max(way, default=0.0))
 
     def _rests(self, share: float, sensed: bool, measured: Measured) -> bool:
-        """Return whether a force that was reached stays unchanged."""
+        """Return whether the force, once reached, is no longer corrected."""
         if self.failed:
             return True
         efforts, position = measured.effort, measured.position
@@ -485,7 +485,7 @@ class Pressing:
             self._stiffness = min(max((self.felt - self._first) / self._depth, least), most)
 
     def _one_sided(self, wanted: float, measured: Measured) -> bool:
-        """Return whether one side alone presses too hard, since something else opposes it."""
+        """Return whether one side presses too hard, against something else than the other side."""
         touch = measured.touch
         sides = (self._grip.fingers, self._grip.others) if touch and not self._grip.around else ()
         return any(sum(touch[f] for f in side) > ONE_SIDE * wanted for side in sides)

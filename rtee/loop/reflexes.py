@@ -113,8 +113,8 @@ class _LegReactions:
     def share(self, measured: Measured) -> float:
         """Return the share of the force to press with.
 
-        Without sensors, the force where fingers touch elsewhere than with their tips may exceed the
-        estimate from efforts by `ELSEWHERE`; it must not exceed the requested one.
+        Fingers may touch elsewhere than with their tips. Without sensors, the force may then exceed
+        the estimate from efforts by `ELSEWHERE`, but it must not exceed the requested force.
         """
         grip = self.grip
         if grip is None or grip.tip_force(measured.touch) == grip.tip_force(measured.touch):
@@ -475,7 +475,7 @@ class Reflexes:
     def _oppose(self, approach: _LegReactions, stamp: float, measured: Measured) -> None:
         """Let a side that has come to its end oppose one that touches something.
 
-        The force between them, which is known, tells whether there is something.
+        The force between the two sides, which is known, then shows whether there is an object.
         """
         if approach.together is None:
             return
@@ -498,9 +498,9 @@ class Reflexes:
         )
 
     def _pressed(self, approach: _LegReactions, stamp: float, measured: Measured) -> bool:
-        """Return whether efforts show that fingers press with the whole force on something.
+        """Return whether efforts show that the fingers press on something with the full force.
 
-        An object met on the path around it may be pressed on before the actuators set out.
+        Fingers that met the object on the way around it may press before the actuators set out.
         """
         grip, force, estimate = approach.grip, approach.force, approach.together
         if grip is None or force is None or estimate is None:
@@ -698,8 +698,8 @@ class Reflexes:
     ) -> None:
         """Begin to build up the force with all actuators that squeeze, together.
 
-        They begin with the given effort limits [N·m | N]; or lightly, but with no less than they
-        press with already, since the object would fall.
+        They begin with the given effort limits [N·m | N]. Without these they begin lightly, but
+        with no less effort than they exert already, or the object would fall.
         """
         if approach.together is not None and approach.grip is not None:
             self._press(approach, approach.grip, approach.together, stamp, share)

@@ -49,7 +49,7 @@ _MOVED = {
 
 
 class Snapshot(NamedTuple):
-    """A captured state: each object with its parts, by `id`; the controller comes first.
+    """A captured state: each object's parts by its `id`; the controller comes first.
 
     The snapshot keeps the objects alive, so that no new object can reuse an `id`.
     """
@@ -96,7 +96,7 @@ def _names(value: object) -> Iterator[str]:
 
 
 def _fields(kind: type[Any], there: object) -> list[str]:
-    """Return the fields of a class; ``there`` is an object of it, if there is one."""
+    """Return the names of a class's fields; ``there`` may be an object of the class."""
     if type(there) is kind:
         return [*_names(there)]
     if is_dataclass(kind):

@@ -257,9 +257,10 @@ class Squeeze:
         return True
 
     def _strays(self, measured: Measured) -> bool:
-        """Return whether the force has left the requested one, since an object shifts or creeps.
+        """Return whether the force has drifted, because the object shifts or creeps.
 
-        A force that is raised by slips stays. Where slips are answered, a higher force may be one.
+        A force that was raised after a slip is kept. While slips are answered, a higher force may
+        be due to one.
         """
         share = self._felt(measured) / self.force
         if not share >= _FELT or self._level != 1.0:
@@ -272,7 +273,7 @@ class Squeeze:
 
         Adaptive fingers bend, and touch elsewhere than the levers assume. Without sensors at the
         fingertips of both sides, only the levers count. Once the force has arrived, it is lowered
-        no further than need be: sensors may also measure external forces.
+        no further than necessary: sensors may also measure external forces.
         """
         felt = self._felt(measured)
         time, self._corrected = stamp - self._corrected, stamp
@@ -321,7 +322,7 @@ class Squeeze:
         return any(self._exerted(i, measured) >= _NEARLY for i in self.pressing)
 
     def _exerted(self, i: int, measured: Measured) -> float:
-        """Return an actuator's effort as a share of its effort limit without correction."""
+        """Return an actuator's effort as a share of its uncorrected effort limit."""
         share = abs(measured.effort[i]) / (self._level * self.held[i].full)
         return share if share == share else math.inf
 

@@ -82,7 +82,7 @@ def mapping(names: str, values: str) -> As:
 
 
 def word(name: str, kind: type[StrEnum], wrong: str) -> As:
-    """Return the conversion of an enumeration to a string, with the error for any other string."""
+    """Return the conversion of an enumeration; ``wrong`` is the error for other strings."""
     known = {str(member): member for member in kind}
 
     def unpack(value: str) -> StrEnum:

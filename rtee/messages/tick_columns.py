@@ -1,8 +1,8 @@
 """Ticks column by column, in a fifth of the space that their messages take.
 
-The records of the messages of a tick have one layout. What changes from tick to tick are numbers of
-eight bytes, mostly smoothly: the differences of such numbers, taken as integers and up to three
-times, are small. They are exact, as integers wrap around.
+The records of the messages of a tick have one layout. The values that change from tick to tick are
+eight-byte numbers, most of which change smoothly: the differences of such numbers, taken as
+integers and up to three times, are small. They are exact, as integers wrap around.
 """
 
 from __future__ import annotations

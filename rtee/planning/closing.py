@@ -4,8 +4,8 @@ The object is pushed by what touches it, without turning, until the forces of th
 balance, friction included. Then the actuators of the links that touch stand still, and the others
 go on until they touch, too, or are at the action's end: an actuator stalls where its link is
 blocked, as those of a real hand do. In a grasp with a force, fingers do not push: what touches
-first stands still at once, until the others touch. Which of them are there in time to press:
-`Search.pressing`; what they then do to the object: `springs`.
+first stands still at once, until the others touch. `Search.pressing` tells which fingers are there
+in time to press, and `springs` what they then do to the object.
 """
 
 from __future__ import annotations
@@ -199,7 +199,7 @@ class HandClosing:
 
     @cached_property
     def waiting(self) -> HandClosing:
-        """The same, with fingers that wait for one another."""
+        """The same closing, but with fingers that wait for one another."""
         other = copy.copy(self)
         other.waits = True
         return other
@@ -210,7 +210,7 @@ class HandClosing:
 
     @staticmethod
     def tick(start: int) -> int:
-        """Return the tick of a step of the table, or the one just before."""
+        """Return the tick at a step of the table, rounded down."""
         return start * TICKS // STEPS
 
 
@@ -283,7 +283,7 @@ class _HandBatch:
             rows = rows[self._ticks[rows] < TICKS]
 
     def _until_opposed(self, rows: Slots) -> Slots:
-        """Close hands until contacts oppose each other; return in which rows they do."""
+        """Close hands until contacts oppose each other; return the rows in which they do."""
         pace = self._fastest / TICKS
         start, done = self._near.places.copy(), [np.zeros(0, dtype=np.intp)]
         while len(rows):

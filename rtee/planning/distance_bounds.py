@@ -180,9 +180,9 @@ class DistanceBounds:
     def _capped(
         self, limits: FloatArray, bounds: FloatArray, rows: Slots, at: Placed, until: float
     ) -> FloatArray:
-        """Return limits ``(len(rows),)`` that are no higher than one distance of each row [m].
+        """Return limits ``(len(rows),)``, each at most the distance of one pair of its row [m].
 
-        Without a pace that all shapes have, distant shapes would be checked, too.
+        Without these limits, distant shapes would be measured, too.
         """
         flat = bounds.reshape(len(rows), -1)
         nearest = flat.argmin(axis=1)

@@ -36,7 +36,7 @@ def closed_nearby(closing: HandClosing, candidate: PoseCandidate) -> list[Closur
 
 
 def _pushed(closing: HandClosing, pose: FloatArray, candidate: PoseCandidate) -> FloatArray | None:
-    """Return the pose to which the hand pushes an object as it comes; ``None`` if out of reach."""
+    """Return the pose to which the approaching hand pushes an object; ``None`` if it is too far."""
     approach_from, at = candidate.approach_from, closing.table[candidate.start]
     pose, length = pose.copy(), float(np.linalg.norm(approach_from))
     for _ in range(round(_PUSHED / _PUSH)):

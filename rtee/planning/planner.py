@@ -312,7 +312,7 @@ class Planner:
         return found or {}
 
     def sides_wait(self, action: Action) -> bool:
-        """Return whether an action grasps with a force, one side waiting for the other."""
+        """Return whether an action grasps with a force, where the first side to touch waits."""
         return self._pressing(action) is not None
 
     def _pressing(self, action: Action) -> Opening | None:
@@ -385,7 +385,7 @@ class Planner:
         return 4.0 * balanced(found) + min(links, 6) / 6.0 + (1.0 - min(1.0, off / self.obj.length))
 
     def _hope(self, search: Search, closure: Closure) -> float:
-        """Return how good a grasp promises to be, and how squarely its sides press."""
+        """Return the sum of a grasp's promise and of how squarely its sides press."""
         return self.promise(closure) + 2.0 * self._squareness(search, closure)
 
     def _pressed(self, search: Search, closure: Closure) -> tuple[Pressing, FloatArray]:
@@ -397,7 +397,7 @@ class Planner:
         return pressing(found, maps, self._gains, knots[-1] - knots[0]), maps
 
     def _waited(self, grasp: FoundGrasp, force: float) -> float:
-        """Return the share by which a grasp with a force [N] is worse than its forces suggest.
+        """Return the factor by which a grasp with a force [N] is worse than its forces suggest.
 
         The forces of the fingers must balance once the table does not bear the difference, also if
         the object is slightly misplaced; and the fingers must be stiff enough.
@@ -581,8 +581,9 @@ class Planner:
     def _before(self, grasp: FoundGrasp) -> tuple[float, float, float]:
         """Return pre-shape, opening and clearance before the hand closes.
 
-        The hand closes as far as it can without coming near the object at the end of its approach
-        or on it; above a table, as far as it was found to clear that.
+        In the pre-shape, the hand is closed as far as it can be without coming near the object
+        during the approach or at its end; above a table, it is closed as far as was found to clear
+        the table.
         """
         gaps, closing, candidate = grasp.search.gaps, grasp.search.closing, grasp.candidate
         start = candidate.start
@@ -683,9 +684,9 @@ def _placed(ball: float, off: float) -> float:
 
 
 def _firmness(grasp: FoundGrasp) -> float:
-    """Return the share by which the grasp of a standing object is worse than its forces suggest.
+    """Return the factor by which standing on a table makes a grasp worse than its forces suggest.
 
-    Fingers that push the object far, or miss it when it is slightly misplaced, upset it.
+    Fingers that push the object far, or miss it when it is slightly misplaced, knock it over.
     """
     push = float(np.linalg.norm(grasp.closure.pose[:3, 3] - grasp.candidate.pose[:3, 3]))
     near = closed_nearby(grasp.closing, grasp.candidate)

@@ -102,7 +102,7 @@ def outward(scene: GraspScene) -> FloatArray:
 def orientations(obj: GraspObject, up: FloatArray | None = None) -> list[FloatArray]:
     """Return the distinct orientations ``(3, 3)`` of an object's box, relative to three axes.
 
-    An object that stands on a table looks different where its upward axis ``(3,)`` is another.
+    For an object that stands on a table, orientations also differ if its upward axis ``(3,)`` does.
     """
     directions = _OUTLOOK / np.linalg.norm(_OUTLOOK, axis=1, keepdims=True)
     middle, _ = obj.box
@@ -365,7 +365,7 @@ class Poses:
             yield from at_most(placed, _share(most, len(fitting)))
 
     def _ways(self, step: int, turn: FloatArray) -> Iterator[tuple[bool, Way]]:
-        """Yield the ways in which the object may approach, and whether from the side above a table.
+        """Yield possible approaches of the object, each with whether it is sideways above a table.
 
         Fingers that curl and oppose a thumb along the reach approach a standing object at a tilt.
         """
@@ -397,7 +397,7 @@ class Poses:
                 yield steep <= STEEP, (turned, way)
 
     def _last(self, width: float) -> int:
-        """Return the last step, counted from the widest, with at least the given opening [m]."""
+        """Return the last step, from the widest on, at which the hand is open this far [m]."""
         open_at = int(np.argmax(self.gaps))
         narrow = np.flatnonzero(self.gaps[open_at:] < width)
         left = int(narrow[0]) - 1 if len(narrow) else len(self.gaps) - 1 - open_at
@@ -430,7 +430,7 @@ class Poses:
         return min(width for width, _, _ in self._sizes(turns))
 
     def _sizes(self, turns: list[FloatArray]) -> list[tuple[float, float, float]]:
-        """Return the object's width, across the axis of closing, and depth, for each turn [m]."""
+        """Return the object's width, size across the axis of closing, and depth, by turn [m]."""
         # The extents are along the rows of the rotation, wherever the axes of the hand are.
         return [self._scene.sizes(turn) for turn in turns]
 
@@ -446,7 +446,7 @@ class Poses:
         width: float,
         directions: list[tuple[FloatArray, FloatArray]],
     ) -> Iterator[Found]:
-        """Yield poses of the turned object ``(3, 3)`` at the fingertips' middle, and approaches."""
+        """Yield poses of the object, turned by ``(3, 3)``, at the grasp centre, and approaches."""
         middle, _ = self._at(step)
         # The middle of its box, since a mesh may have its origin anywhere.
         pose = homogeneous(turned, middle - turned @ self._scene.object.box[0])
@@ -545,7 +545,7 @@ def _across(vector: FloatArray, axis: FloatArray) -> FloatArray:
 
 
 def _share(most: int, turns: int) -> int:
-    """Return how many poses are tried of each turn of the object."""
+    """Return how many poses are tried per orientation of the object."""
     return max(2, -(-most // max(1, min(turns, most // 2))))
 
 

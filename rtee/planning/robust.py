@@ -108,7 +108,7 @@ def too_wide(planner: Planner, action: Action, groups: Sequence[Action] = ()) ->
 
 
 def _two_tips(hand: Hand, action: Action, closing: HandClosing) -> frozenset[str]:
-    """Return the two fingers between whose tips an action grasps; nothing if there are more."""
+    """Return the two fingers whose tips grasp in an action; empty if more than two do."""
     moved = {
         name for name, moves in zip(hand.actuator_names, closing.path.moving, strict=True) if moves
     }

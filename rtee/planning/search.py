@@ -71,7 +71,8 @@ class Search:
     def normal(self, force: float) -> float:
         """Return the sum of the normal forces of all fingers for a force between them [N].
 
-        Two sides press with it each; of fingers all around, it is the sum itself.
+        If the fingers close from two sides, each side presses with this force; if from all around,
+        it is the sum.
         """
         around = self.opening is not None and self.opening.around
         return force if around else 2.0 * force
@@ -112,13 +113,13 @@ class Search:
         return replace(closure, contacts=there)
 
     def closing_on(self, candidate: PoseCandidate) -> HandClosing:
-        """Return what closes the hand at a pose, once the object is where it stays."""
+        """Return the closing of the hand for a pose at which the object stays."""
         return self.closing.waiting if self.by_force(candidate.width) else self.closing
 
     def next(self) -> Approach | list[PoseCandidate]:
         """Return the poses to try next, or the approach on which these depend.
 
-        They are no more than are needed if the action holds the object at all of them.
+        There are no more poses than needed, should the action hold the object at each of them.
         """
         # Collects as many poses as grasps are missing.
         while len(self.ready) < self.enough - len(self.grasps):
@@ -205,7 +206,7 @@ def _centred(
 ) -> Iterator[PoseCandidate]:
     """Yield a candidate from which the fingers meet the object at about the same time.
 
-    That is where they would push it to.
+    The fingers would push the object there.
     """
     pose, away = candidate.pose.copy(), candidate.approach_from
     push = closure.pose[:3, 3] - pose[:3, 3]
@@ -221,7 +222,7 @@ def _centred(
 
 
 def _next(scene: GraspScene, searches: Sequence[Search]) -> list[tuple[Search, PoseCandidate]]:
-    """Return the poses to try next; the approaches on which they depend are found together."""
+    """Return the poses to try next, after finding the approaches that they need in one batch."""
     found: list[tuple[Search, PoseCandidate]] = []
     while searches:
         asking: list[Search] = []

@@ -2,18 +2,18 @@
 
 Fingers that grasp with a force keep their posture, and their references go on along the action
 together, into the object. The forces at their contacts are those of the springs, not the best ones
-that the fingers could exert: as long as the object stands on a table, that bears what does not
-balance. Afterwards the object moves with the fingers until the forces balance, or it is lost.
+that the fingers could exert: while the object stands on a table, the table bears the difference.
+Afterwards the object moves with the fingers until the forces balance, or it is lost.
 
 - *Pressing* is the energy that the springs give to the contacts. By the principle of least
-  complementary energy, forces ``f`` within the cones of friction minimise ``f C f / 2 - f d``, with
-  the compliance ``C`` of the fingers at the contacts and the way ``d`` of their references there.
-  Solved again under the condition that forces and torques add up to zero, this gives what
-  balances.
-- The stiffness with which the springs hold the object is that of Nguyen (1989), with soft contacts
+    complementary energy, forces ``f`` within the cones of friction minimise ``f C f / 2 - f d``,
+    with the compliance ``C`` of the fingers at the contacts and the displacement ``d`` of their
+    references there. Solved again under the condition that forces and torques add up to zero, this
+    gives the forces that balance. - The stiffness with which the springs hold the object is that of
+    Nguyen (1989), with soft contacts
   in series, less the effect of the forces themselves: two tips that press on an object tilt it,
-  once their force is larger than their stiffness across times half of its width (Cutkosky and Kao,
-  1989).
+      once their force exceeds their transverse stiffness times half of its width (Cutkosky and Kao,
+      1989).
 """
 
 from __future__ import annotations
@@ -116,8 +116,8 @@ def sunk(
 ) -> float:
     """Return how far a force moves an object that fingers hold [m]; infinite: they don't hold it.
 
-    Fingers that are not equally strong, and an arm that starts, push it in any direction: the one
-    in which the springs yield most counts.
+    Fingers of unequal strength and an accelerating arm may push it in any direction: the one in
+    which the springs yield most counts.
 
     Args:
         pressed: The forces that hold it ``(k, 3)`` [N].
@@ -159,7 +159,7 @@ def _crossed(arm: FloatArray) -> FloatArray:
 
 
 def scaled(pressed: Pressing, normal: float) -> Pressing:
-    """Return the same fingers with a sum of their normal forces [N]."""
+    """Return the same pressing fingers, scaled to a total normal force [N]."""
     whole = float(pressed.normal.sum())
     factor = normal / whole if whole > 0.0 else 0.0
     return Pressing(pressed.share, factor * pressed.forces, factor * pressed.normal)

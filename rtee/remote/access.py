@@ -108,7 +108,7 @@ def gate_access_control(hand: str, zid: str, name: str, role: Role) -> dict[str,
 def hello_limit(hand: str) -> list[dict[str, Any]]:
     """Return Zenoh's ``downsampling``, which limits how often a session may say hello to a hand.
 
-    What is beyond the limit ends where it arrives: the hand has a single thread that receives for
+    Messages beyond the limit are dropped on arrival: the hand has a single thread that receives for
     all its clients.
     """
     hello = {"key_expr": network_key(hand, f"{HELLO}/**"), "freq": _HELLOS}

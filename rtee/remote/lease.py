@@ -67,7 +67,7 @@ class Lease:
             self._jogged_until = 0.0
 
     def runs(self, goal_id: str) -> bool:
-        """Return whether a goal with this identifier runs."""
+        """Return whether a goal with this identifier is running."""
         return goal_id in self._goals
 
     def started(self, client: str, goal_id: str) -> None:

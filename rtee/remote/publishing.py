@@ -94,7 +94,7 @@ class TopicPublisher:
 
 
 class _KeyPublisher:
-    """One key of a topic; wanted if it has subscribers, or they are not watched."""
+    """The publisher of one key; `wanted` if the key has subscribers, or they are not watched."""
 
     def __init__(self, publisher: zenoh.Publisher, watched: bool) -> None:
         self.publisher, self.wanted = publisher, not watched

@@ -376,7 +376,7 @@ def open_client(
 
 
 def check_endpoints(endpoints: Sequence[str]) -> None:
-    """Raise `ConfigError` if one is not in the format of Zenoh's endpoints."""
+    """Raise `ConfigError` unless all endpoints are in Zenoh's format."""
     for endpoint in endpoints:
         if _ENDPOINT.fullmatch(endpoint) is None:
             raise ConfigError(

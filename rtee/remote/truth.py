@@ -216,7 +216,7 @@ class Truth:
 
     @property
     def moving(self) -> bool:
-        """Whether a goal runs."""
+        """Whether a goal is running."""
         goal = "" if self.status is None else self.status.goal_id
         if goal == self._halted and monotonic.now() < self._halted_until:
             return False

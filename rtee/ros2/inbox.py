@@ -72,9 +72,9 @@ class Limit:
 class SharedLimit:
     """Limits the events in each interval of one second, and shares them among their causes.
 
-    Each cause may take as many as it leaves: alone, half of the limit; two, a third each. So
-    however many events one of them causes, the next one finds some left. May be called from any
-    thread.
+    Each cause may use at most as much of the limit as is left over: a single cause half of it, two
+    causes a third each. However many events one cause has, there is always room for those of
+    another. May be called from any thread.
     """
 
     def __init__(self, rate: int) -> None:

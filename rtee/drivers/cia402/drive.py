@@ -253,7 +253,7 @@ class DriveLink:
         self.bus.send_now(CanFrame(RPDO[0] + self.id, Command(word, target, mode).to_bytes()))
 
     def acknowledged(self, mode: Mode) -> bool:
-        """Return whether the drive has acknowledged the target; true if it acknowledges none."""
+        """Return whether the drive has acknowledged the target; true if it need not."""
         if mode is not Mode.PROFILE_POSITION or self.state is not State.ENABLED:
             return True
         return not self.pending and self._sent_target == self.target

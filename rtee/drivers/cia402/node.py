@@ -129,7 +129,7 @@ class EmulatedNode:
         return check
 
     def watch_anew(self, value: int) -> cia301.Abort | None:
-        """Watch the host from its next heartbeat on; runs when a host configures the watch."""
+        """Watch the host from its next heartbeat on; called when a host configures the watch."""
         self._host_at = None
         return None
 

@@ -279,7 +279,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         await self.link.set_all(table.TORQUE, {number: POWERED})
 
     def _believe(self, readings: Readings, stamp: float) -> None:
-        """Raise `FrameError` if a servo cannot have reached its position, unless reported twice.
+        """Raise `FrameError` for a position out of reach, unless the servo reports it twice.
 
         The answer must have been damaged in spite of its checksum.
         """

@@ -167,7 +167,7 @@ def dotted(version: int) -> str:
 
 
 def checked(table: Table, registers: Sequence[int], count: int) -> tuple[int, ...]:
-    """Return the values of a table; raises `CodecError` if their number or a value is impossible.
+    """Return the values of a table; raises `CodecError` for a wrong number or a bad value.
 
     An unpublished fault code is more likely to be the late answer to another request.
     """

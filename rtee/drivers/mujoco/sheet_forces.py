@@ -23,9 +23,9 @@ _LEAST: Final = 1e-3
 class SheetForces:
     """The effort limits of actuators whose fingers' largest force is known, by position.
 
-    With a constant torque, fingers on levers press the harder the wider they are open. A device
-    whose sheet has one force for all openings controls it by itself: the effort limit follows from
-    that force on every fingertip, by virtual work towards the centre of the other fingertips.
+    With a constant torque, fingers on levers press harder the wider they are open. A device whose
+    sheet states one force for all openings controls this force itself: the effort limit follows
+    from that force on every fingertip, by virtual work towards the centre of the other fingertips.
 
     Args:
         hand: The hand.

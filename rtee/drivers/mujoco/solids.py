@@ -19,8 +19,8 @@ _KINDS: Final = {int(number): kind for kind, number in _TYPES.items()}
 def half_extents(kind: str, size: Sequence[float]) -> list[float]:
     """Return half the edges of a box, or radius and half length of another solid [m].
 
-    The size is that of `UrdfGeometry` and of objects. The half length of a capsule is that without
-    its ends.
+    The size is that of `UrdfGeometry` and of objects. The half length of a capsule does not include
+    its round ends.
     """
     if kind == "box":
         return [0.5 * edge for edge in size]
@@ -39,7 +39,7 @@ def set_solid(geom: mujoco.MjsGeom, kind: str, halves: Sequence[float], skin: fl
 def solid_of(model: mujoco.MjModel, geom: int, skin: float = 0.0) -> tuple[str, tuple[float, ...]]:
     """Return kind and size [m] of a geom with a skin; the kind is empty if it is no solid.
 
-    The length of a capsule is that without its ends.
+    The length of a capsule does not include its round ends.
     """
     kind = _KINDS.get(int(model.geom_type[geom]), "")
     halves = [half + skin for half in model.geom_size[geom].tolist()]

@@ -214,7 +214,7 @@ class Surroundings:
         return touching
 
     def depth_at(self, data: mujoco.MjData, pose: FloatArray) -> float:
-        """Return how deep a link would be inside the object at a pose ``(4, 4)`` in the world [m].
+        """Return how deep links would reach into the object at a pose ``(4, 4)`` in the world [m].
 
         The depth is 0 if no link touches the object. ``data`` is a state of the hand, changed by
         this call; the running state stays as it is.

@@ -65,7 +65,7 @@ class Robotiq2FOptions(RobotiqOptions, frozen=True):
 
 
 class EndStops(Section, frozen=True):
-    """The measured end stops of a gripper. It has no serial number, so model and unit identify it.
+    """The measured end stops of a gripper, which model and unit identify: it has no serial number.
 
     Attributes:
         model: The model it was made with.

@@ -72,7 +72,7 @@ class GripTimer:
     def due(self, left: float, writes: int) -> float:
         """Return the time [s] to begin the writes that stop the grip after a further travel [µm].
 
-        The time is infinite if the gripper does not move, or not yet.
+        The time is infinite while the gripper does not move.
         """
         if self._seen is None or self._speed <= 0.0:
             return math.inf

@@ -202,14 +202,14 @@ def spelled(action: str) -> str:
 
 
 def _takeovers(recording: Recording) -> set[int]:
-    """Return the times at which earlier targets become obsolete [ns]."""
+    """Return the times from which earlier targets no longer apply [ns]."""
     ends = (Cancel, Hold, Freeze, EndStream)
     goals = {entry.wall for entry in recording.goals}
     return goals | {e.wall for e in recording.commands if isinstance(e.value.command, ends)}
 
 
 def _filled(names: tuple[str, ...], rows: Mapping[int, FloatArray], ends: set[int]) -> Signal:
-    """Return targets over time; a target without a value keeps the previous one."""
+    """Return targets over time; where a target has no value, the previous one continues."""
     wall = sorted(rows.keys() | ends)
     values = np.full((len(wall), len(names)), math.nan)
     last = np.full(len(names), math.nan)
