@@ -280,7 +280,7 @@ def is_primitive_name(name: str) -> bool:
 def check_custom_name(name: str) -> None:
     """Raise `UserError` unless a name is valid for a composed, timed or generic action."""
     check_name(name, "action")
-    # Names are compared without underscores and hyphens, so a name needs other characters.
+    # Names are compared without underscores and hyphens, so these alone do not make a name.
     if not normalise(name):
         raise ActionError(f"the name '{name}' has no letter or digit")
     if is_primitive_name(name):

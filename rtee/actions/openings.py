@@ -321,7 +321,8 @@ def meeting(
     first = openings.meeting(action) if len(opening.actuators) == 1 else None
     if not first:
         return own
-    # That is where links come as near as the clearance, which the fingers have yet to close.
+    # At these intensities, links come within the clearance; the fingers still have to close that
+    # gap.
     near = max(opening.at(first.get(name, 1.0)) for name in opening.actuators)
     return max(own, near - openings.hand.clearance)
 
@@ -461,7 +462,8 @@ class Openings:
         name = action.name, action.elements
         known = self._known.get(name)
         if known is None or known[2] is not action:
-            # All at once, which threads may do beside each other; the rest is soon known again.
+            # Cleared as a whole, which several threads may do at once; entries are soon found
+            # again.
             if len(self._known) >= _MOST_KNOWN:
                 self._known.clear()
             opening = None

@@ -34,7 +34,8 @@ def pinch_at_rest(hand: Hand, primitives: Iterable[Primitive]) -> str:
     if not closed:
         return ""
     opened = {name: bound for _, way in ways for name, bound in way.items()}
-    # The suggested line replaces that in hand.yaml, and so repeats the rests given there.
+    # The suggested line replaces the one in hand.yaml, so it repeats the rest positions given
+    # there.
     given = {
         spec.name: opened.get(spec.name, spec.rest)
         for spec in hand.actuators

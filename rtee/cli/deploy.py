@@ -82,7 +82,7 @@ def install(
         _print_states(installation, installation.compare(needs.hand, files | copies))
         return
     _print_states(installation, installation.install(needs.hand, files | copies))
-    # Not before the files are written, from which both read.
+    # Only once the files are written, since both read them.
     for problem in (installation.make_user(), *installation.reload()):
         if problem:
             print(f"! {problem}")

@@ -86,7 +86,7 @@ def serve(
     # All hands first, so that a wrong one ends the command before any node is made.
     shown = [_shown(hand, given, endpoint) for hand in hands]
     environment = environment_without(domain)
-    for each in shown:  # one sentence for a mistake, without warnings about its consequences
+    for each in shown:  # a mistake is one sentence, without warnings about its consequences
         check_session(each.settings, environment, insecure=each.insecure)
     for warning in warnings(shown):
         print(f"rtee: warning: {warning}", file=sys.stderr, flush=True)

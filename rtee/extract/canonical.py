@@ -234,9 +234,7 @@ class _Points:
         return found
 
     def _orders(self) -> Iterable[tuple[int, ...]]:
-        """Return orders of the fingers: by actuators, then own ones, the most first; then with a
-        tip.
-        """
+        """Return orders of the fingers: most actuators first, most of their own, with a tip."""
         groups: dict[tuple[int, ...], list[int]] = {}
         for i, finger in enumerate(self._fingers):
             key = (-len(finger.actuators), -len(finger.own), finger.tip is None)

@@ -135,7 +135,7 @@ def outer(
             continue
         normals = np.array(body.normals())
         levels = _farthest(np.array(body.points()), normals)
-        # A dropped shape may still drop others: it lies inside a kept shape, and so do they.
+        # A dropped shape also drops the shapes inside it: they lie inside the kept shape, too.
         for i in [i for i in kept if i != j]:
             shape = shapes[i]
             corners = rotated(shape.points, shape.placement.rotation) + shape.placement.translation

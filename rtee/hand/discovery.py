@@ -272,5 +272,5 @@ def _distinct_parts(names: Sequence[str]) -> Iterable[str]:
     tail = shared_length([part[head:][::-1] for part in parts])
     for name, part in zip(names, parts, strict=True):
         kept = "_".join(part[head : len(part) - tail])
-        # A number alone would not be a name for people.
+        # A bare number would tell people nothing.
         yield kept if kept and not kept.isdigit() else f"finger_{kept}" if kept else name

@@ -129,7 +129,7 @@ def _common(kind: np.dtype[Any] | None, column: Column) -> np.dtype[Any]:
     """Return a type that fits a column's new values and the previous ones."""
     new = column.dtype
     if new.kind == "U" and not (column != "").any():
-        # Nothing is known of these values: of the type "no characters", unless others are.
+        # The column is empty so far: it keeps the previous type, or is text of length 0.
         return kind or np.dtype("<U0")
     if kind is None or not kind.itemsize:
         return new

@@ -173,7 +173,8 @@ class _Collector:
         ]
         self._names = {topics.log_topic(self._hand, name): name for name in topics.TYPES}
         self._files = [(each, self._channels(each)) for each in file_indexes]
-        # The indexes give the number of messages, and so the final size of the arrays of a whole.
+        # The indexes give the number of messages, and so the final size of the arrays of a whole
+        # recording.
         counts = dict.fromkeys(_TABLES, 0)
         for file, channels in self._files:
             for number, channel in channels.items():
@@ -212,7 +213,7 @@ class _Collector:
         """Yield the messages of the only file from a time to another [ns], piece by piece."""
         ((file, channels),) = self._files
         latched = {k: each for k, each in channels.items() if each.name in topics.LATCHED}
-        # What stays valid, from before.
+        # Values from before the piece that are still valid.
         self._before = first
         self._file(file, latched, [each for each in file.chunks if each.start < first])
         places = sorted(file.chunks, key=lambda each: each.start)
@@ -226,7 +227,7 @@ class _Collector:
                 held.append(places[taken])
                 taken += 1
             ended = taken == len(places)
-            # To where a chunk begins: most are read once.
+            # A piece ends where a chunk begins, so that most chunks are read once.
             self._before = last + 1 if ended else places[taken].start
             self._file(file, channels, held)
             held = [each for each in held if each.end >= self._before]
@@ -351,7 +352,7 @@ class _Collector:
             object_description=objects[-1].value if objects else None,
             urdf=self._urdf(attachments),
             meshes=self._file_indexes[0].metadata.get(MESHES, {}),
-            # Those that stay valid are kept for the next pieces, but belong to one.
+            # Entries that stay valid are kept for later pieces, but returned only once.
             others={
                 name: [entry for entry in entries(name, _fields) if entry.wall >= self._from]
                 for name in topics.DESCRIBING

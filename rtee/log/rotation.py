@@ -36,7 +36,7 @@ MESHES = "meshes"
 FLIGHT = "flight"
 """Replaces the number of the part in the names of the flight recorder's files."""
 
-_FIRST = 65536  # bytes in which the metadata are, behind the header alone
+_FIRST = 65536  # bytes that contain the metadata, which follow the header
 _STAMP = r"\d{8}T\d{9}Z"
 _NAME = re.compile(rf"(?P<hand>.+)_(?P<session>{_STAMP})_(?P<part>\d{{3,}}|{FLIGHT})\.mcap")
 

@@ -799,7 +799,7 @@ class ContactMonitor:
         """
         stretch = self._stretches[i]
         if sample is not None and rules.is_bound(sample[0], limit):
-            # So may be those before it: a limit that was raised takes effect some of them later.
+            # Earlier samples may be bounded, too: a raised limit takes effect a few samples later.
             stretch.restart()
         else:
             stretch.take(self._free[i], here, reference, sample)

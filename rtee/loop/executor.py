@@ -594,7 +594,7 @@ class Executor:
         At rest, the play and the friction of many actuators add up to more than their tolerance.
         """
         to, actuators = run.plan.to, self._hand.actuators
-        # A goal with a stricter tolerance is stricter here, too; an opening has its own tolerance.
+        # A stricter tolerance of the goal applies here, too; an opening has its own tolerance.
         if near := not (isinstance(to, Opening) or self._profile.moving or self._reflexes.touched):
             usual = Intensity().tolerance
             asked = to.tolerance if isinstance(to, Intensity | FirstContact) else usual

@@ -200,7 +200,7 @@ class Grip:
         ):
             # First order in the distance from the action's line; enough for a few degrees.
             width -= lever * (position[i] - rest - at * (target - rest))
-        # The levers hold up to contact of the tips; beyond it they would lead below zero.
+        # The levers hold up to contact of the tips; beyond it they would give negative openings.
         return max(width, 0.0)
 
     def opening_error(self, position: Sequence[float]) -> float:

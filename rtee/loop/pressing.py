@@ -456,7 +456,7 @@ class Pressing:
             speed, stronger = 0.0, self._strengthen(time, measured)
         at = min(max(self._grip.intensity_of(measured.position), 0.0), self._grip.intensity[-1])
         slope = max(self._grip.slope_at(at), 1e-6)
-        # By the actuator that can change its velocity least.
+        # Limited by the actuator that can change its velocity least.
         change = min(
             self._hand.actuators[i].acceleration / max(abs(self._way[i]), 1e-9) for i in self.held
         )

@@ -718,8 +718,8 @@ class Reflexes:
                 spec = self._hand.actuators[i]
                 floor = max(floor, self._grasp.grip_effort * spec.effort / full)
                 most = min(most, approach.most.get(i, full) / full)
-                # Only the impact needs the low speed of the approach; but the other side must not
-                # strike an object that one side alone has met.
+                # The approach is slow only for the sake of the impact; but while only one side has
+                # met the object, the other side must not strike it.
                 self._profile.go({i: each.target}, velocity={i: approach.speed * spec.velocity})
             else:
                 # Its effort cannot be limited, so it closes slowly instead.

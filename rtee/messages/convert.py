@@ -66,7 +66,7 @@ RESULT = Codec(
     position=mapping("position_name", "position"),
     elements=field("elements", tuple),
     opening=_number("opening"),
-    # 0 in recordings made before it was told.
+    # 0 in recordings from before this field existed.
     opening_error=As(
         {"opening_error": lambda value: math.nan if value is None else value},
         lambda value: value or None if value == value else None,

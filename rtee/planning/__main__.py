@@ -33,7 +33,7 @@ def plan(library: ActionLibrary, question: Question) -> dict[str, Any]:
     from rtee.planning.result import to_document
 
     text = question.object
-    # A path would let a client read files of the hand's computer: meshes come by content.
+    # A path would let a client read files of the hand's computer: clients send a mesh's content.
     if not question.mesh:
         refuse_paths(text)
     with TemporaryDirectory() as place:

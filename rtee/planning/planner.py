@@ -320,7 +320,8 @@ class Planner:
 
         Only then can one side wait for the other, and press with the same force.
         """
-        # What is held up may be wrapped: pushed into the palm, it is held as often as by a force.
+        # An object in the air may be wrapped: pushed into the palm, it is held as often as by a
+        # force.
         if self.ground is None or self._openings is None:
             return None
         opening = self._openings.find(action)

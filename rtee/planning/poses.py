@@ -234,8 +234,9 @@ class Poses:
     def _room(self, shift: float) -> float:
         """Return how wide the fingers open, at a distance from the tips' middle [m]."""
         self._shift = shift
-        # Beyond the ends of open jaws all is free, and nothing is between them. Hands with further
-        # fingers also compare places between others, and do not need this.
+        # Beyond the ends of open jaws there is room for anything, but an object there is not
+        # between them. Hands with more fingers also compare places between other fingers, and do
+        # not need this check.
         if shift and self.several and len(self._scene.hand.fingers) < SEVERAL and self._beyond():
             return 0.0
         return max(self._gap(0), self._gap(STEP_MIDDLE))

@@ -63,7 +63,7 @@ class Question:
 
     def check(self) -> None:
         """Validate the question; raises `ConfigError`. Checks that need the object come later."""
-        # NaN, which nothing is below, for what is no number.
+        # NaN for anything but a number: it fails every comparison.
         sizes = [_or_nan(each) for each in (self.mass, self.friction, self.scale)]
         if not all(0.0 < each < math.inf for each in sizes):
             raise ConfigError("mass, friction and scale of an object must be finite and above 0")

@@ -140,7 +140,7 @@ def sunk(
     servos = _CONTACT * fingers.T @ fingers + np.diag(stiffness[springs])
     carried = fingers.T @ grasp
     held = _CONTACT * grasp.T @ grasp - _CONTACT**2 * carried.T @ np.linalg.solve(servos, carried)
-    # Turned with the object, the contacts move, but not the forces on them.
+    # When the object turns, the contacts move with it, but the forces keep their directions.
     geometric = np.zeros((3, 3))
     for arm, force, normal in zip(arms, forces, normals, strict=True):
         outer = np.outer(force, arm)

@@ -46,7 +46,7 @@ _USUAL = 100.0
 """Default rate of requests of a kind [1/s]: several times that of programs that poll."""
 
 _RATES = {
-    "hello": _USUAL / TOGETHER,  # counted for an access path, before it is known who it is
+    "hello": _USUAL / TOGETHER,  # counted by access path: the client is not known yet
     "jog": 200.0,  # a dragged slider sends sixty
     "sample": 4000.0,  # `StreamIntake` limits samples by the rate of their stream
     "info": 20.0,  # some milliseconds of work for every new posture

@@ -97,7 +97,7 @@ class Truth:
         self.stopped = Words("")
         self.turn = Turn()
         self._hot: dict[str, str] = {}  # events of actuators that are too warm
-        self._busy: dict[str, str] = {}  # what devices were said to do before they follow
+        self._busy: dict[str, str] = {}  # what devices are doing before they follow references
         self._received = -math.inf
         self._since = ""
         self._fingers: tuple[str, ...] = ()

@@ -313,7 +313,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         position, speed = output.position / 1e3, output.speed / 1e3
         outward = bool(output.control & codec.Control.OUTWARD)
         if command in (codec.Control.GRIP, codec.Control.GRIP_AT):
-            # In percent, as the driver's scale of efforts has it.
+            # In percent, like the driver's scale of efforts.
             if not 1 <= output.force <= 100:
                 return None, 0.0, 0.0
             end = made.stroke if outward else 0.0

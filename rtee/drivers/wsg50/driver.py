@@ -287,7 +287,7 @@ class Wsg50Driver(Driver):
     def _forget(self) -> None:
         self._follower.forget()
         self._moving_to = None
-        # Not equal to any force, so the next one is sent.
+        # NaN equals no force, so the next one is sent.
         self._force = float("nan")
 
     # --- stop and faults ---------------------------------------------------------------------

@@ -74,7 +74,7 @@ def _by_marks(recording: Recording) -> Iterator[Episode]:
         if not text.lower().startswith(BEGIN):
             continue
         word = text[len(BEGIN) :].strip()
-        # The next one's beginning is an end, too.
+        # The beginning of the next episode ends this one, too.
         if task and word.lower() != DISCARD:
             yield Episode(task, start, entry.wall)
         task, start = ("" if word.lower() in (END, DISCARD) else word), entry.wall
@@ -158,7 +158,7 @@ def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
         import av
         import pyarrow.parquet  # noqa: F401 - before anything is written
 
-        # Only failures are reported, by rtee.
+        # PyAV's own messages are suppressed: rtee reports failures.
         av.logging.set_level(av.logging.PANIC)
     if output.exists():
         raise LogError("exists already; give a new folder for the dataset", path=output)
