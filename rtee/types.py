@@ -570,8 +570,8 @@ class Goal(Value):
                 pass
             case _:
                 raise GoalRejected(
-                    "a goal is to an Intensity(…), an Opening(…), a FirstContact() or closes "
-                    f"Around(…), not to {self.to!r:.100}"
+                    "'to' must be an Intensity(…), an Opening(…), an Around(…) or a FirstContact(), "
+                    f"not {self.to!r:.100}"
                 )
 
     @property

@@ -482,5 +482,5 @@ def test_hands_of_a_run_are_told_whose_realtime_counts(
     assert not run._realtime([made["jaw"]], enabled=False).enabled
     assert caplog.text == ""
     assert run._realtime(list(made.values()), enabled=False).priority == 70
-    assert "right: its own `realtime` does not count beside that of left" in caplog.text
+    assert "right: `realtime` in its hand.yaml is ignored: that of left holds" in caplog.text
     assert "jaw" not in caplog.text, "it wants none"

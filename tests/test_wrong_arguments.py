@@ -35,7 +35,7 @@ def library() -> ActionLibrary:
         (lambda: rtee.Goal(DO, effort=3), "'effort' must be a mapping by name, not 3"),
         (lambda: rtee.Goal(DO, effort=None), "'effort' must be a mapping by name, not None"),
         (lambda: rtee.Goal(DO, on_contact="hold"), "'on_contact' must be a mapping by name"),
-        (lambda: rtee.Goal(DO, "open"), r"a goal is to an Intensity\(…\), .*, not to 'open'"),
+        (lambda: rtee.Goal(DO, "open"), r"'to' must be an Intensity\(…\), .*, not 'open'"),
         (lambda: rtee.Intensity("60%"), "the intensity must be a number, not '60%'"),
         (lambda: rtee.Intensity(tolerance=None), "the tolerance must be a number, not None"),
         (lambda: rtee.Intensity(Fraction(3, 2)), "the intensity must be 0 to 1, not 1.5"),

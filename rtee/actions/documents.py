@@ -158,7 +158,7 @@ def _primitive(
     evidence = tuple(p.evidence.evidence() for p in entry.postures if p.evidence is not None)
     with located(document, (*at, "postures")):
         if evidence and len(evidence) != len(postures):
-            raise ActionError("either every posture has evidence, or none")
+            raise ActionError("give evidence for every posture, or for none")
     return Primitive(kind, elements, postures, evidence, len(fingers), fingers)
 
 

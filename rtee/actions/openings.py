@@ -487,7 +487,7 @@ class Openings:
             )
         if table is None:
             raise ActionError(
-                f"{name} has no opening: no two fingertips oppose each other on its way, or the "
+                f"{name} has no opening: no two fingertips oppose each other on its path, or the "
                 f"action is newer than the tables; {remedy}"
             )
         if table.posture != fingerprint_of(self.hand, action):

@@ -221,7 +221,7 @@ class _Restoring:
         elif kind == "method":
             owner = self.value(parts[0], getattr(there, "__self__", None))
             if (type(owner), parts[1]) not in self._wired:
-                raise ValueError(f"a controller does not call {parts[1]} back")
+                raise ValueError(f"{parts[1]} is not a callback of a controller")
             made = getattr(owner, parts[1])
         elif kind == "enum":
             made = _class(parts[0])(parts[1])

@@ -124,7 +124,7 @@ def _fields(goal: Goal) -> dict[str, Any]:
     """Return the fields of the message for a goal, without header and time."""
     what, to, speed, effort = goal.what, goal.to, goal.speed, goal.effort
     if not isinstance(what, Named | Fingers):
-        raise MessageError(f"a goal is for Named(…) or Fingers(…), not for {what!r:.100}")
+        raise MessageError(f"'what' must be Named(…) or Fingers(…), not {what!r:.100}")
     fields = {
         **_BLANK,
         "goal_id": goal.goal_id,

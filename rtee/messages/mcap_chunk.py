@@ -78,4 +78,4 @@ def _expanded(chunk: Chunk, size: int) -> bytes:
             return data
     except (zstandard.ZstdError, RuntimeError) as error:
         raise DamagedChunkError(f"a chunk cannot be decompressed: {error}") from None
-    raise DamagedChunkError(f"a chunk is compressed by '{chunk.compression}', which is unknown")
+    raise DamagedChunkError(f"a chunk has the unknown compression '{chunk.compression}'")

@@ -264,7 +264,7 @@ class MessageType:
         """Return the error for values of which that of a field has the wrong type."""
         if not isinstance(values, self.message or Mapping):
             return MessageError(
-                f"a {self.name}, by its fields' names, expected, not {values!r:.100}"
+                f"the fields of a {self.name} by name expected, not {values!r:.100}"
             )
         field = next(field for field in self.fields if field.name == name)
         kind = f"a {field.kind}" if field.many is Many.ONE else f"a list of {field.kind}s"

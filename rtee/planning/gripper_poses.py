@@ -255,7 +255,7 @@ def _best(
     """Return the action that suits a width best; see `best_for`."""
     able = [pair for pair in actions if not fingers or set(fingers) == set(pair[1].fingers)]
     if not able:
-        raise ConfigError(f"no action of '{hand.name}' opposes just {', '.join(fingers)}")
+        raise ConfigError(f"no action of '{hand.name}' opposes exactly {', '.join(fingers)}")
     fits = [pair for pair in able if pair[1].narrowest <= width < pair[1].widest]
     if fits:
         return best_for(hand, fits, width, margin)

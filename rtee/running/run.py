@@ -223,8 +223,7 @@ def _realtime(prepared: Sequence[PreparedHand], *, enabled: bool) -> RealtimeSet
             chosen, first = settings, one.hand.name
         elif settings.enabled and settings != chosen:
             log.warning(
-                "%s: its own `realtime` does not count beside that of %s, since all hands of a run "
-                "share a process",
+                "%s: `realtime` in its hand.yaml is ignored: that of %s holds for all hands of the run",
                 one.hand.name,
                 first,
             )

@@ -125,7 +125,7 @@ async def test_a_wrong_argument_is_a_sentence(hand: Hand, library: ActionLibrary
             with pytest.raises(GoalRejected, match=r"a complete goal is a Goal\(…\), not"):
                 await remote.start_goal(goal)
         with pytest.raises(
-            MessageError, match=r"is for Named\(…\) or Fingers\(…\), not for 'fist'"
+            MessageError, match=r"'what' must be Named\(…\) or Fingers\(…\), not 'fist'"
         ):
             await remote.start_goal(Goal("fist"))
         for action, what in (
@@ -138,7 +138,7 @@ async def test_a_wrong_argument_is_a_sentence(hand: Hand, library: ActionLibrary
             with pytest.raises(RequestRejected, match="no request '"):
                 await remote.ask(name)
         with pytest.raises(
-            MessageError, match="GoalReference, by its fields' names, expected, not 'all'"
+            MessageError, match="the fields of a .*GoalReference by name expected, not 'all'"
         ):
             await remote.ask("cancel", "all")
         with pytest.raises(MessageError, match=r"missing or unknown fields \['client'\]"):

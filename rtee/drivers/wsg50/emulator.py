@@ -212,7 +212,7 @@ class Wsg50Emulator(Emulator, Grasps):
 
     def _measured(self, command: Command, payload: bytes, now: float) -> Frame:
         if len(payload) != 3:
-            raise CodecError("three bytes ask for a measurement")
+            raise CodecError("a request for a measurement needs three bytes")
         period = int.from_bytes(payload[1:], "little") / 1000.0
         if payload[0] & 1:
             self._auto[command] = [period, now + period]
@@ -304,7 +304,7 @@ class Wsg50Emulator(Emulator, Grasps):
             return answer(command, Status.ALREADY_RUNNING)
         if command is Command.HOME:
             if len(frame.payload) != 1:
-                raise CodecError("homing takes a direction")
+                raise CodecError("homing needs a direction")
             self._begin(command, (self.limits.stroke, _HOMING_SPEED))
             return answer(command, Status.PENDING)
         if not self._referenced:

@@ -105,7 +105,7 @@ class _Decoder:
         kind, data = _image(schema, content)
         codec = next((codec for word, codec in _DECODERS.items() if word in kind.lower()), "")
         if not codec or "compressedDepth" in kind:
-            raise self._error(f"an image in it has the format '{kind:.50}', which is not read")
+            raise self._error(f"an image in it has the format '{kind:.50}', which cannot be read")
         if codec != self._codec:
             import av
 

@@ -31,8 +31,8 @@ def make_profile(settings: ProfileSettings, limits: MotionLimits, period: float)
             except ImportError:
                 raise ConfigError(
                     "the profile 'jerk_limited' needs ruckig, which is not installed: pip install"
-                    " ruckig (where it has no package, with a C++ compiler); the profile 's_curve'"
-                    " does without"
+                    " ruckig (where there is no package of it, this needs a C++ compiler), or use"
+                    " the profile 's_curve'"
                 ) from None
             return JerkLimited(limits, period)
         case ProfileKind.S_CURVE:
