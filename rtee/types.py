@@ -570,7 +570,7 @@ class Goal(Value):
                 pass
             case _:
                 raise GoalRejected(
-                    "'to' must be an Intensity(…), an Opening(…), an Around(…) or a FirstContact(), "
+                    "'to' must be an Intensity(…), Opening(…), Around(…) or FirstContact(), "
                     f"not {self.to!r:.100}"
                 )
 

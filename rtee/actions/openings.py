@@ -292,7 +292,7 @@ def spread(hand: Hand, action: Action, opening: Opening, intensity: float) -> tu
 
 
 def _nearest(point: FloatArray, others: Iterable[FloatArray]) -> float:
-    """Return the distance of the nearest one of some points [m]; 0: there are none."""
+    """Return the distance of the nearest of the points [m]; 0 if there are none."""
     return min((float(np.linalg.norm(point - other)) for other in others), default=0.0)
 
 

@@ -224,10 +224,10 @@ class _Command(TyperCommand):
         return any(getattr(option, "help", None) == RUNNING_HELP for option in self.params)
 
     def _with_hand(self, args: list[str]) -> list[str]:
-        """Return the arguments with a hand that is the first word as the option ``--hand``.
+        """Return the arguments; if the first word is a hand, it becomes the option ``--hand``.
 
-        Where words may mean something else, it counts as a hand if a hand of this name runs or
-        starts here, or if there is one for which the command waits.
+        Where the word may mean something else, it counts as a hand if a hand of this name runs or
+        starts here, or if the command waits for one.
         """
         given = any(word == "--hand" or word.startswith("--hand=") for word in args)
         place = None if given or not self._takes_running() else self._first_word(args)

@@ -496,7 +496,7 @@ def motion_of(model: mujoco.MjModel) -> ModelMotion:
 
 
 def _hold(constraints: ModelConstraints) -> None:
-    """Hold the joints that follow only held ones, and the masters of held linear followers."""
+    """Hold joints that follow only held joints, and the masters of held linear followers."""
     left: list[PolynomialCoupling] = []
     # Until nothing changes: a joint that is held may hold its followers in turn.
     while len(left) != len(constraints.curves):

@@ -241,7 +241,7 @@ def read_bytes(path: Path | str, what: str, error: type[UserError] | None = None
 
 
 def is_trusted(status: os.stat_result, *owners: int) -> bool:
-    """Return whether a file or folder belongs to one of some users, and no other can write it.
+    """Return whether one of the given users owns a file or folder, and nobody else can write to it.
 
     Otherwise another user of this computer may have made it.
     """

@@ -138,7 +138,7 @@ class Settled:
 def _with(
     excluded: Sequence[DisabledPair], hand: Hand, pairs: tuple[DisabledPair, ...]
 ) -> tuple[DisabledPair, ...]:
-    """Return the pairs of a hand and those excluded besides."""
+    """Return a hand's disabled pairs, followed by the excluded ones that are not among them."""
     there = {frozenset(pair[:2]) for pair in pairs}
     links = hand.urdf.links
     return pairs + tuple(

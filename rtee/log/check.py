@@ -236,7 +236,7 @@ class _Checker:
         self._compare(piece, computed)
 
     def _begun(self, piece: Recording) -> Recording:
-        """Return the part of a piece that can be recomputed: all from some tick on."""
+        """Return the part of a piece that can be recomputed, which begins at some tick."""
         ticks = piece.actuator_states.tick
         if not self._begin and len(ticks) and ticks[0] != 0:
             state = json.loads(piece.attachments.get(STATE, b"{}"))

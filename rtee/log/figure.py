@@ -267,7 +267,7 @@ def thinned(
 
 
 class _Lines:
-    """The points of lines, thinned as they come, for a plot from a time to another [s]."""
+    """The points of the plotted lines between two times [s], thinned as they are added."""
 
     def __init__(self, start: float, end: float) -> None:
         self._start, self._end = start, end

@@ -148,7 +148,7 @@ class _Topic(NamedTuple):
 
 
 class _Collector:
-    """Collects the messages of all files, or of some from a recording of a longer span [ns]."""
+    """Collects messages of files; ``span`` [ns] if these are only a part of a recording."""
 
     def __init__(
         self,
@@ -210,7 +210,7 @@ class _Collector:
         return self._recording(ended=True)
 
     def pieces(self, first: int, last: int) -> Iterator[Recording]:
-        """Yield the messages of the only file from a time to another [ns], piece by piece."""
+        """Yield the only file's messages between two log times [ns], piece by piece."""
         ((file, channels),) = self._files
         latched = {k: each for k, each in channels.items() if each.name in topics.LATCHED}
         # Values from before the piece that are still valid.

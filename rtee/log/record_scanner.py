@@ -19,7 +19,7 @@ from mcap.records import Attachment, Chunk, McapRecord
 from rtee.messages.mcap_chunk import HEAD, LARGEST_CHUNK, MAGIC, DamagedChunkError, decompressed
 
 DAMAGE = 0
-"""Stands for the opcode of bytes that are no record; no record has this one."""
+"""Opcode of bytes that are not a record; real records never have it."""
 
 LATEST = 2**63 - 1
 """Latest log time accepted [ns since 1970]: in the year 2262, the limit of NumPy."""
@@ -87,7 +87,7 @@ class Record:
     """A record in a file.
 
     Attributes:
-        opcode: Its kind, or `DAMAGE` for bytes that are no record.
+        opcode: Its kind, or `DAMAGE` for bytes that are not a record.
         offset: Offset of its content in the file [bytes].
         length: Length of its content [bytes].
     """

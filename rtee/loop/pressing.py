@@ -271,7 +271,7 @@ class Pressing:
         grasp: Settings.
         profile: Moves the reference.
         limiter: Holds the positions sent last.
-        contact: Told which actuators hold the object.
+        contact: Records which actuators hold the object.
         report: Called with events.
         grip: The grip.
         estimate: The force between the tips.

@@ -364,7 +364,7 @@ class Reflexes:
         self.changed = True
 
     def _go_on(self, approach: _LegReactions, efforts: Mapping[int, float], stamp: float) -> None:
-        """Have actuators that hold an object go on from their effort limits [N·m | N]."""
+        """Let actuators that hold an object continue from their effort limits [N·m | N]."""
         fingers: dict[str, None] = {}
         for i, each in approach.watched.items():
             each.touched = True

@@ -1,8 +1,8 @@
 """Chunks of MCAP files of unknown origin, decompressed within bounds.
 
 A file of a megabyte may claim, or expand to, any size. The declarations of a chunk are checked
-before memory is used for it: against an absolute size, and against what compression of measurements
-gives.
+before memory is used for it: against an absolute size, and against the compression that
+measurements can reach.
 """
 
 from __future__ import annotations

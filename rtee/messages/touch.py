@@ -79,7 +79,7 @@ def touch_of(fields: Mapping[str, Any], known: Mapping[str, Sensors]) -> TouchSt
     names, units, taxels = fields["name"], fields["unit"], [int(n) for n in fields["taxels"]]
     values = fields["value"]
     if not len(names) == len(units) == len(taxels) or len(set(names)) != len(names):
-        raise MessageError("a touch message needs a distinct name, a unit and a number of taxels for each sensor")
+        raise MessageError("each sensor of a touch message needs a name, a unit and a taxel count")
     if sum(taxels) != len(values) or min(taxels, default=1) < 1 or len(values) > MOST_TAXELS:
         raise MessageError("the values of a touch message do not fit its sensors")
     sensors = known.get(fields["device"], ())

@@ -133,7 +133,7 @@ class Connections:
 
 @contextlib.contextmanager
 def vouching(token: str) -> Iterator[None]:
-    """Let a hand on this computer find the user whose process declared a token, by `user_of`."""
+    """Let a hand on this computer find out with `user_of` whose process declared a token."""
     with contextlib.ExitStack() as stack:
         if sys.platform == "linux":
             listener = stack.enter_context(socket.socket(socket.AF_UNIX))

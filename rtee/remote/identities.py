@@ -297,7 +297,7 @@ class Identities:
         return check
 
     def answers_junk(self) -> bool:
-        """Return whether to answer one more message that is not a request, stating why."""
+        """Return whether one more message that is not a request may be answered with the reason."""
         # Such messages are not signed, so they count for all strangers together.
         return self._strangers.allow(REFUSALS)
 
@@ -319,7 +319,7 @@ class Identities:
         return "" if client is None else client.name
 
     def answers_stop_at_once(self, name: str) -> bool:
-        """Return whether to answer one more stop of a client at once; it takes effect at once."""
+        """Return whether one more stop of a client is answered at once; it takes effect anyway."""
         client = self._there.get(name)
         return (self._strangers if client is None else client.rates).allow("stop")
 

@@ -223,7 +223,7 @@ def _realtime(prepared: Sequence[PreparedHand], *, enabled: bool) -> RealtimeSet
             chosen, first = settings, one.hand.name
         elif settings.enabled and settings != chosen:
             log.warning(
-                "%s: `realtime` in its hand.yaml is ignored: that of %s holds for all hands of the run",
+                "%s: `realtime` in its hand.yaml is ignored: that of %s holds for all hands",
                 one.hand.name,
                 first,
             )

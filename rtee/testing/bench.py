@@ -71,7 +71,7 @@ class EmulatedDevices(ABC):
         self._act("take_away", "", device)
 
     def fault(self, name: str, device: str | None = None) -> None:
-        """Break it, as ``rtee emulate --fault``."""
+        """Inject a fault, as ``rtee emulate --fault`` does."""
         self._act("fault", name, device)
 
     def clear(self, device: str | None = None) -> None:

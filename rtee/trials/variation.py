@@ -91,7 +91,7 @@ class Variation:
 
 
 def draw(seed: int, number: int) -> Variation:
-    """Return a seed's variation with a number, counted from 0."""
+    """Return the variation of a number from 0 on, of those of a seed."""
     random = np.random.default_rng([seed, number])
     x, y, z = random.uniform(-POSITION, POSITION, 3)
     # Normal numbers, since a direction made of uniform ones would prefer the diagonals.
@@ -107,7 +107,7 @@ def draw(seed: int, number: int) -> Variation:
 
 
 def choosing_draw(seed: int, number: int) -> Variation:
-    """Return a seed's variation with a number, counted from 0, by which places are chosen.
+    """Return the variation of a number from 0 on, of those of a seed for choosing places.
 
     Each ten draws are followed by their mirror images: ten may all lie to one side of the place,
     twenty such draws are balanced.

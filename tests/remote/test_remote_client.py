@@ -138,7 +138,7 @@ async def test_a_wrong_argument_is_a_sentence(hand: Hand, library: ActionLibrary
             with pytest.raises(RequestRejected, match="no request '"):
                 await remote.ask(name)
         with pytest.raises(
-            MessageError, match="the fields of a .*GoalReference by name expected, not 'all'"
+            MessageError, match=r"the fields of a .*GoalReference by name expected, not 'all'"
         ):
             await remote.ask("cancel", "all")
         with pytest.raises(MessageError, match=r"missing or unknown fields \['client'\]"):
