@@ -30,7 +30,7 @@ from rtee.sample import FloatArray
 from rtee.trials.bench import TrialBench
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.holding import SLIP, TURN, said_lost, turned
+from rtee.trials.holding import SLIP, TURN, reports_loss, turned
 from rtee.types import Around, Fingers, Force, Goal, Named, OnContact, Result, TipSpeed
 
 RATE: Final = 500.0
@@ -412,7 +412,7 @@ class _Try:
         after = self._forces[until:] or [0.0]
         return Truth(
             result,
-            said_lost(result, headless.events[before:]),
+            reports_loss(result, headless.events[before:]),
             held,
             held and headless.time - self._pressed <= _APART,
             blow,

@@ -136,7 +136,7 @@ class Searches:
 
         def value(y: FloatArray) -> float:
             worth = function.value(y)
-            if worth >= 0.0 or not function.reached(y):
+            if worth >= 0.0 or not function.overlapping(y):
                 return APART + max(0.0, worth)
             u = function.stored(y)
             hits = checker.at(u)

@@ -83,7 +83,7 @@ _TAKES_PART: Final = 0.1
 
 
 @dataclass(frozen=True)
-class Opening:
+class OpeningTable:
     """The opening of one action over its intensity.
 
     Attributes:
@@ -173,7 +173,7 @@ class Opening:
         ]
         return min(forces, default=0.0)
 
-    def corrected(self, pairs: Iterable[tuple[float, float]]) -> Opening:
+    def corrected(self, pairs: Iterable[tuple[float, float]]) -> OpeningTable:
         """Return the table corrected by pairs measured on the real hand: intensity, opening [m].
 
         Interpolates the difference from the model between two measured pairs, and takes that of the
@@ -240,7 +240,7 @@ def doubtful(action: Action) -> bool:
     return not (evidence.clear and opposed)
 
 
-def crowded(action: Action, opening: Opening) -> bool:
+def crowded(action: Action, opening: OpeningTable) -> bool:
     """Return whether fingers of one side press on one another at the action's posture.
 
     Such fingers meet each other before they meet an object, and touch sensors cannot tell them
@@ -254,7 +254,9 @@ def crowded(action: Action, opening: Opening) -> bool:
     )
 
 
-def spread(hand: Hand, action: Action, opening: Opening, intensity: float) -> tuple[float, float]:
+def spread(
+    hand: Hand, action: Action, opening: OpeningTable, intensity: float
+) -> tuple[float, float]:
     """Return how neighbouring fingertips of one side lie at an intensity.
 
     Args:
@@ -297,7 +299,7 @@ def _nearest(point: FloatArray, others: Iterable[FloatArray]) -> float:
 
 
 def meeting(
-    action: Action, opening: Opening, actions: Iterable[Action], openings: Openings
+    action: Action, opening: OpeningTable, actions: Iterable[Action], openings: Openings
 ) -> float:
     """Return the opening at which the empty hand's fingers meet one another [m].
 
@@ -328,8 +330,8 @@ def meeting(
 
 
 def best_for(
-    hand: Hand, actions: Sequence[tuple[Action, Opening]], width: float, margin: float = MARGIN
-) -> tuple[Action, Opening]:
+    hand: Hand, actions: Sequence[tuple[Action, OpeningTable]], width: float, margin: float = MARGIN
+) -> tuple[Action, OpeningTable]:
     """Return the action that best suits an object of a width, and its opening; the first if equal.
 
     The criteria, in order: collision-free and in force closure; closes further than the object is
@@ -345,14 +347,14 @@ def best_for(
         margin: Excess of the opening over the width before the hand closes [m].
     """
 
-    def quick(pair: tuple[Action, Opening]) -> tuple[bool, ...]:
+    def quick(pair: tuple[Action, OpeningTable]) -> tuple[bool, ...]:
         action, opening = pair
         # Tips that stay apart press on nothing much narrower; within the error, they may meet.
         apart = opening.narrowest > opening.error
         ends = apart and width <= opening.narrowest + opening.error
         return doubtful(action), ends, width + margin > opening.widest, crowded(action, opening)
 
-    def thorough(pair: tuple[Action, Opening]) -> tuple[float, ...]:
+    def thorough(pair: tuple[Action, OpeningTable]) -> tuple[float, ...]:
         action, opening = pair
         at = opening.intensity_at(width)
         angle = opening.angle_at(at)
@@ -406,20 +408,22 @@ class Openings:
     """
 
     hand: Hand
-    tables: tuple[Opening, ...] = ()
+    tables: tuple[OpeningTable, ...] = ()
     meetings: tuple[Meeting, ...] = ()
     made: bool = True
     outdated: bool = False
 
     @cached_property
-    def _known(self) -> dict[object, tuple[Opening | None, Mapping[str, float] | None, Action]]:
+    def _known(
+        self,
+    ) -> dict[object, tuple[OpeningTable | None, Mapping[str, float] | None, Action]]:
         return {}
 
     @cached_property
-    def _by_key(self) -> dict[tuple[str, frozenset[str]], Opening]:
+    def _by_key(self) -> dict[tuple[str, frozenset[str]], OpeningTable]:
         return {_key(table.action, table.elements): table for table in self.tables}
 
-    def of(self, action: Action) -> Opening:
+    def of(self, action: Action) -> OpeningTable:
         """Return the opening of an action, corrected by the measurements in hand.yaml.
 
         Raises:
@@ -427,11 +431,11 @@ class Openings:
         """
         return self.find(action) or self._find(action)
 
-    def find(self, action: Action) -> Opening | None:
+    def find(self, action: Action) -> OpeningTable | None:
         """Return the opening of an action; ``None``: it has none, and `of` says why."""
         return self._looked_up(action)[0]
 
-    def known(self, actions: Iterable[Action]) -> list[tuple[Action, Opening]]:
+    def known(self, actions: Iterable[Action]) -> list[tuple[Action, OpeningTable]]:
         """Return the actions that have an opening, each with its opening.
 
         Raises:
@@ -456,7 +460,7 @@ class Openings:
 
     def _looked_up(
         self, action: Action
-    ) -> tuple[Opening | None, Mapping[str, float] | None, Action]:
+    ) -> tuple[OpeningTable | None, Mapping[str, float] | None, Action]:
         """Return an action's opening and its contacts of the empty hand, cached."""
         # By name: the action that opens the hand, for one, is a new object for every goal.
         name = action.name, action.elements
@@ -472,7 +476,7 @@ class Openings:
             known = self._known[name] = opening, self._meeting(action), action
         return known
 
-    def _find(self, action: Action) -> Opening:
+    def _find(self, action: Action) -> OpeningTable:
         name = label(action.name, action.elements)
         if isinstance(action, Timed):
             raise ActionError(f"{name} is a timed action, which has no opening")
@@ -597,7 +601,7 @@ def read_openings(folder: Path, hand: Hand) -> Openings:
         ) from error
 
 
-def _table(entry: Mapping[str, Any]) -> Opening:
+def _table(entry: Mapping[str, Any]) -> OpeningTable:
     """Return a table from plain data; raise `ValueError` and the like if it is invalid."""
     intensity, width = readonly(entry["intensity"]), readonly(entry["opening"])
     lever, angle = readonly(entry["lever"]), readonly(entry["angle"])
@@ -612,7 +616,7 @@ def _table(entry: Mapping[str, Any]) -> Opening:
     # Interpolation silently gives wrong values unless both are monotonic.
     if not (np.all(np.diff(intensity) > 0.0) and np.all(np.diff(width) < 0.0)):
         raise ValueError(f"the opening of '{entry['action']}' does not decrease")
-    return Opening(
+    return OpeningTable(
         str(entry["action"]),
         tuple(str(name) for name in entry["elements"]),
         str(entry["posture"]),

@@ -66,7 +66,7 @@ class BusPool:
         emulator = self._ends.emulators[owner]
         return next(s for s in self._ends.simulations.values() if emulator in s.emulators)
 
-    def _apart(self, address: str, owner: str, emulator: EmulatorFactory | None) -> str:
+    def _own_address(self, address: str, owner: str, emulator: EmulatorFactory | None) -> str:
         """Return an address that is not used by the emulated devices of another hand."""
         hand, slash, _ = owner.partition("/")
         if emulator is None or not slash:
@@ -209,7 +209,7 @@ class BusPool:
         """
         from rtee.buses.zmq import Endpoints, ZmqBus
 
-        address = self._apart(address, owner, emulator)
+        address = self._own_address(address, owner, emulator)
         if emulator is not None:
             places = self._ends.zmq(address, owner, emulator)
         else:
@@ -227,7 +227,7 @@ class BusPool:
         """
         from rtee.buses.ethercat import EthercatBus, PysoemRing
 
-        place = self._apart(interface, owner, emulator)
+        place = self._own_address(interface, owner, emulator)
         ring = emulator and self._ends.ethercat(place, owner, emulator)
         return await self._acquire(
             place,
@@ -291,7 +291,7 @@ class BusPool:
         emulator: EmulatorFactory | None,
         **more: Any,
     ) -> B:
-        url = self._apart(url, owner, emulator)
+        url = self._own_address(url, owner, emulator)
         address = emulator and self._ends.line(url, owner, line, emulator)
         return await self._acquire(
             url, kind, (line, more), owner, lambda: kind(url, line, address=address, **more)
@@ -307,7 +307,7 @@ class BusPool:
         emulator: EmulatorFactory | None,
     ) -> C:
         simulation = None
-        channel = self._apart(channel, owner, emulator)
+        channel = self._own_address(channel, owner, emulator)
         if emulator is not None:
             # All pools of a process share python-can's virtual channels, so the name must be
             # unique.

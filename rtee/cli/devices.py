@@ -43,7 +43,7 @@ from rtee.units import LENGTH, quantity
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
-    from rtee.actions.openings import Opening
+    from rtee.actions.openings import OpeningTable
     from rtee.actions.types import Action
     from rtee.deploy.needs import Needs
     from rtee.drivers.diagnosis.checks import Check
@@ -448,7 +448,7 @@ def calibrate_opening(name: str, words: Sequence[str]) -> None:
     print("goals use the measurements from the next `rtee run` on")
 
 
-def _chosen(library: ActionLibrary, words: Sequence[str]) -> list[tuple[Action, Opening]]:
+def _chosen(library: ActionLibrary, words: Sequence[str]) -> list[tuple[Action, OpeningTable]]:
     """Return the actions given on the command line, with their openings by the model."""
     from rtee.actions.types import ActionReference
 
@@ -469,7 +469,7 @@ class _Blocks:
         library: ActionLibrary,
         home: Path,
         action: Action,
-        opening: Opening,
+        opening: OpeningTable,
     ) -> None:
         self._remote, self._hand, self._home = remote, library.hand, home
         self._action, self._opening = action, opening

@@ -14,7 +14,7 @@ from rtee.hand.own_copy import own_place
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
-    from rtee.actions.openings import Opening
+    from rtee.actions.openings import OpeningTable
     from rtee.planning.result import Point
 
 
@@ -63,11 +63,11 @@ def make(hand: str) -> None:
     print(f"written to {write_openings(home, measured)}", file=sys.stderr)
 
 
-def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
+def current(library: ActionLibrary) -> tuple[list[OpeningTable], list[str]]:
     """Return the openings that are up to date, and a sentence about each of the others."""
     tables = library.openings
     known = {(table.action, frozenset(table.elements)) for table in tables.tables}
-    valid: list[Opening] = []
+    valid: list[OpeningTable] = []
     notes: dict[str, None] = {}
     for action in library:
         if tables.made and (action.name, frozenset(action.elements)) not in known:
@@ -86,7 +86,7 @@ def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
     return valid, list(notes)
 
 
-def tool_centres(library: ActionLibrary, table: Opening) -> tuple[Point, Point]:
+def tool_centres(library: ActionLibrary, table: OpeningTable) -> tuple[Point, Point]:
     """Return where the fingertips meet an object, in the flange's frame [m].
 
     First at the widest opening, then at the narrowest. The hand's place on the flange must be
@@ -108,7 +108,7 @@ def tool_centres(library: ActionLibrary, table: Opening) -> tuple[Point, Point]:
     return widest, narrowest
 
 
-def _document(library: ActionLibrary, valid: list[Opening]) -> dict[str, Any]:
+def _document(library: ActionLibrary, valid: list[OpeningTable]) -> dict[str, Any]:
     flange, openings = library.hand.flange, [_plain(table) for table in valid]
     document: dict[str, Any] = {"hand": library.hand.name, "openings": openings}
     if flange is not None:
@@ -118,7 +118,7 @@ def _document(library: ActionLibrary, valid: list[Opening]) -> dict[str, Any]:
     return document
 
 
-def _plain(table: Opening) -> dict[str, Any]:
+def _plain(table: OpeningTable) -> dict[str, Any]:
     return {
         "action": table.action,
         "elements": list(table.elements),
@@ -131,7 +131,7 @@ def _plain(table: Opening) -> dict[str, Any]:
     }
 
 
-def _show(library: ActionLibrary, valid: list[Opening]) -> None:
+def _show(library: ActionLibrary, valid: list[OpeningTable]) -> None:
     if not valid:
         return
     flange = library.hand.flange

@@ -13,7 +13,7 @@ from rtee.buses.bus import Bus
 from rtee.buses.emulator import Emulator
 from rtee.buses.pool import BusPool
 from rtee.drivers.capabilities import Capabilities
-from rtee.drivers.hold_on_attach import Attached
+from rtee.drivers.hold_on_attach import HoldOnAttach
 from rtee.drivers.options import read_options
 from rtee.drivers.standstill import Standstill
 from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected, RteeError
@@ -63,7 +63,7 @@ class Driver(ABC):
         self.capabilities = Capabilities()
         self._owned_bus: Bus | None = None
         self._owned_link: Any = None
-        self.attached = Attached(spec.actuators)
+        self.attached = HoldOnAttach(spec.actuators)
         self.standstill = Standstill(spec)
         if self.Options is not None:
             self.options = read_options(self.Options, spec)

@@ -20,7 +20,7 @@ _CHANGED = 1e-4
 range]."""
 
 
-class Attached:
+class HoldOnAttach:
     """The actuators to which no reference may be sent yet.
 
     Args:
@@ -31,41 +31,41 @@ class Attached:
         spans = [a.upper - a.lower for a in actuators]
         # A continuous joint has no range: the thresholds are fractions of 1 rad instead.
         self._spans = [span if math.isfinite(span) else 1.0 for span in spans]
-        self._left: set[int] = set()
+        self._holding: set[int] = set()
         self._first: dict[int, float] = {}
 
     def __bool__(self) -> bool:
         """Return whether there is any actuator to which no reference may be sent yet."""
-        return bool(self._left)
+        return bool(self._holding)
 
     def begin(self, found: Iterable[int] = ()) -> None:
         """Send no references to the actuators found active (indices); forget earlier ones."""
-        self._left = set(found)
+        self._holding = set(found)
         self._first.clear()
 
-    def all_left(self, reference: Reference, measured: FloatArray) -> bool:
+    def all_holding(self, reference: Reference, measured: FloatArray) -> bool:
         """Return whether all actuators are to be left alone; otherwise all follow from now on.
 
-        For devices that take the set-points of all actuators at once. Arguments as for `left`.
+        For devices that take the set-points of all actuators at once. Arguments as for `holding`.
         """
-        if self._left and len(self.left(reference, measured)) == len(self._spans):
+        if self._holding and len(self.holding(reference, measured)) == len(self._spans):
             return True
-        self._left.clear()
+        self._holding.clear()
         return False
 
-    def left(self, reference: Reference, measured: FloatArray) -> Collection[int]:
+    def holding(self, reference: Reference, measured: FloatArray) -> Collection[int]:
         """Return the indices of the actuators to leave alone; the others follow from now on.
 
         Args:
             reference: The reference; an actuator that it moves is no longer left alone.
             measured: Measured positions ``(n,)`` [rad | m].
         """
-        for i in tuple(self._left):
+        for i in tuple(self._holding):
             if not reference.mask[i]:
                 continue
             wanted, span = float(reference.position[i]), self._spans[i]
             changed = abs(wanted - self._first.setdefault(i, wanted))
             # Written with `not`, so that a NaN as measurement releases the actuator.
             if not abs(wanted - float(measured[i])) <= _SAME * span or changed > _CHANGED * span:
-                self._left.remove(i)
-        return self._left
+                self._holding.remove(i)
+        return self._holding

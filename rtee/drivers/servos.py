@@ -151,7 +151,7 @@ class ServoCoupling(Protocol):
         """Return the derivative of the servos' angles by the actuators' positions ``(n, n)``."""
         ...
 
-    def gave_way(self, positions: FloatArray, angles: FloatArray) -> tuple[str, ...]:
+    def limit_warnings(self, positions: FloatArray, angles: FloatArray) -> tuple[str, ...]:
         """Return a warning for each actuator whose reference the servos cannot follow."""
         ...
 
@@ -571,7 +571,7 @@ class ServoDriver(Driver, Generic[L]):
             here = self._to_actuators(self._angles)
             # A copy, since the reference belongs to the caller.
             mask = mask.copy()
-            mask[list(self.attached.left(reference, here))] = False
+            mask[list(self.attached.holding(reference, here))] = False
         # Before the pairs are joined: an actuator without a reference keeps its goal.
         angles = self._goal = np.where(mask, reference.position, self._goal)
         rates, efforts, wanted = reference.max_velocity, reference.max_effort, mask.tolist()
@@ -582,7 +582,7 @@ class ServoDriver(Driver, Generic[L]):
             return
         if self._coupling is not None:
             angles = self._coupling.servos(self._goal)
-            self._warnings = self._coupling.gave_way(self._goal, angles)
+            self._warnings = self._coupling.limit_warnings(self._goal, angles)
             rates, efforts = self._limits(rates, efforts)
         counts = self._within(self._units.counts(angles))
         await self._write(Goals(chosen, counts, rates.tolist(), efforts.tolist()))

@@ -12,7 +12,7 @@ from rtee.extract.collisions import Blocked, CollisionChecker
 from rtee.extract.constraints import CLOSE, CLOSER, NEAR, WEIGHT, Constraints
 from rtee.extract.descent import Minimum, Objective, Slope, descend
 from rtee.extract.goals import GoalFunction
-from rtee.extract.motion import Motion
+from rtee.extract.motion import MotionBounds
 from rtee.extract.pairs import LinkPair
 from rtee.extract.polish import polish
 from rtee.extract.resolution import COARSE, MEDIUM
@@ -106,7 +106,7 @@ class ClearSearch:
     def __init__(
         self,
         function: GoalFunction,
-        motion: Motion,
+        motion: MotionBounds,
         checker: CollisionChecker,
         budget: SearchBudget,
     ) -> None:
@@ -254,7 +254,7 @@ class ClearSearch:
             for pair in hits:
                 self._constraints.learn(pair, y)
             y = self._descend(y, _EVALUATIONS).y
-            if not self._function.reached(y):
+            if not self._function.overlapping(y):
                 break
         y = start
         while collided:
@@ -265,7 +265,7 @@ class ClearSearch:
             y = self._before(y, blocked)
             # Beyond other links there, the path may lead through them.
             collided = self._hits(y)
-        return y if self._function.reached(y) else self._improve_recalibrated(y)
+        return y if self._function.overlapping(y) else self._improve_recalibrated(y)
 
     def _hits(self, y: FloatArray) -> list[LinkPair]:
         """Return pairs of links that collide at a pose; empty if it is clear."""
@@ -405,7 +405,7 @@ def touching_postures(function: GoalFunction, poses: Iterable[FloatArray]) -> It
 
 def clear_postures(
     function: GoalFunction,
-    motion: Motion,
+    motion: MotionBounds,
     checker: CollisionChecker,
     starts: Sequence[FloatArray],
     budget: SearchBudget,
@@ -425,7 +425,7 @@ def clear_postures(
 
 
 def _free_interval(
-    function: GoalFunction, motion: Motion, checker: CollisionChecker
+    function: GoalFunction, motion: MotionBounds, checker: CollisionChecker
 ) -> tuple[float, float]:
     """Return the interval around rest up to the first collisions, in a space of one actuator."""
     space, ends = function.space, []

@@ -13,7 +13,7 @@ from rtee.actions.types import FARTHEST_CLEARANCE
 from rtee.extract.distance_queries import TOUCH
 from rtee.extract.envelopes import Envelopes
 from rtee.extract.goals import TipEdge, linked
-from rtee.extract.motion import LinkDistanceBounds, Motion, StraightPath
+from rtee.extract.motion import LinkDistanceBounds, MotionBounds, StraightPath
 from rtee.extract.pairs import LinkPair
 from rtee.extract.resolution import COARSE
 from rtee.extract.scene import Scene
@@ -116,7 +116,7 @@ class Collisions:
             distance [m].
     """
 
-    def __init__(self, scene: Scene, motion: Motion) -> None:
+    def __init__(self, scene: Scene, motion: MotionBounds) -> None:
         self._scene = scene
         self._motion = motion
         self._envelopes = Envelopes(scene)
@@ -335,7 +335,7 @@ class Measures:
     """Objects that measure links: the scene, and bounds on their motion and distances."""
 
     scene: Scene
-    motion: Motion
+    motion: MotionBounds
     envelopes: Envelopes
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from rtee.extract.collisions import Blocked, CollisionChecker, bisect
 from rtee.extract.descent import Objective, Slope
 from rtee.extract.goals import GoalFunction
-from rtee.extract.motion import Motion, StraightPath
+from rtee.extract.motion import MotionBounds, StraightPath
 from rtee.extract.pairs import LinkPair
 from rtee.extract.resolution import COARSE, MEDIUM
 from rtee.sample import FloatArray
@@ -89,7 +89,9 @@ class Constraints:
     overlap before the links collide; the allowance is their overlap at the links' first contact.
     """
 
-    def __init__(self, function: GoalFunction, motion: Motion, checker: CollisionChecker) -> None:
+    def __init__(
+        self, function: GoalFunction, motion: MotionBounds, checker: CollisionChecker
+    ) -> None:
         """Start without constraints, for a goal over the space to search."""
         self._function = function
         self._scene, self._space = function.scene, function.space

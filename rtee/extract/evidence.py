@@ -19,7 +19,7 @@ from rtee.extract.collisions import (
     linked_at,
 )
 from rtee.extract.goals import TipEdge
-from rtee.extract.motion import Motion
+from rtee.extract.motion import MotionBounds
 from rtee.extract.opposition import opposition
 from rtee.extract.pairs import LinkPair
 from rtee.extract.ranking import Candidate
@@ -61,7 +61,7 @@ class Inspector:
     """Measures the evidence for postures."""
 
     scene: Scene
-    motion: Motion
+    motion: MotionBounds
     collisions: Collisions
 
     @classmethod
@@ -76,7 +76,7 @@ class Inspector:
             ModelError: A mesh is missing or cannot be read.
         """
         scene = Scene(hand, unit)
-        motion = Motion(scene)
+        motion = MotionBounds(scene)
         return cls(scene, motion, Collisions(scene, motion))
 
     def checker(self, fingers: Sequence[Finger], edges: Sequence[TipEdge]) -> CollisionChecker:

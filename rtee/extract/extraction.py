@@ -83,7 +83,7 @@ def extract(
     primitives.sort(
         key=lambda p: (order.index(p.kind), p.tips, [names.index(e) for e in p.elements])
     )
-    notes += _blocked_ways(form, pinches)
+    notes += _blocked_paths(form, pinches)
     return Extraction(tuple(primitives), time.perf_counter() - begun, notes)
 
 
@@ -171,7 +171,7 @@ def _notes(inspector: Inspector, form: Canonical) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _blocked_ways(form: Canonical, pinches: Sequence[FoundPinch]) -> tuple[str, ...]:
+def _blocked_paths(form: Canonical, pinches: Sequence[FoundPinch]) -> tuple[str, ...]:
     """Return notes about links in the way of executed postures, each pair of links once."""
     notes = []
     ways = {c.blocking: p for p in reversed(pinches) if (c := p.candidates[0]).blocking}

@@ -32,7 +32,7 @@ class SearchGoal(Protocol):
     def slope(self, space: Space) -> tuple[float, Slope]:
         """Return the value [m], and a function for its derivative by the coordinates ``(k,)``."""
 
-    def reached(self) -> bool:
+    def overlapping(self) -> bool:
         """Return whether the convex parts of the tips overlap as required."""
 
     def touching(self) -> bool:
@@ -61,10 +61,10 @@ class GoalFunction:
         self.scene.place(self.space.posture(y))
         return self.goal.value()
 
-    def reached(self, y: FloatArray) -> bool:
+    def overlapping(self, y: FloatArray) -> bool:
         """Return whether the convex parts overlap as required at coordinates ``(k,)``."""
         self.scene.place(self.space.posture(y))
-        return self.goal.reached()
+        return self.goal.overlapping()
 
     def touching(self, u: FloatArray) -> bool:
         """Return whether the tips touch as required at a posture ``(n,)`` [rad | m]."""
@@ -92,7 +92,7 @@ class PinchGoal:
         scene, tips = self._scene, self._tips
         return scene.distance(tips), lambda: scene.derivative(tips, space)
 
-    def reached(self) -> bool:
+    def overlapping(self) -> bool:
         """Return whether the convex parts overlap."""
         return self.value() <= 0.0
 
@@ -211,7 +211,7 @@ class MultiPinchGoal:
         # If the tree switches from one pair to another, the value has a kink, but no step.
         return value, lambda: scene.gradient(terms, space)
 
-    def reached(self) -> bool:
+    def overlapping(self) -> bool:
         """Return whether the tips are linked by overlaps of their convex parts."""
         overlaps = [edge.ends for edge in self._edges if self._scene.distance(edge.tips) <= 0.0]
         return linked(self._size, overlaps)

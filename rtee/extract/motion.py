@@ -66,7 +66,7 @@ class _Placed(NamedTuple):
     high: FloatArray
 
 
-class Motion:
+class MotionBounds:
     """Bounds on the motion of links on straight paths."""
 
     def __init__(self, scene: Scene) -> None:
@@ -191,7 +191,7 @@ class Motion:
 class LinkDistanceBounds:
     """Lower bounds on distances of links, from earlier distances and the motion since then."""
 
-    def __init__(self, motion: Motion, pairs: Sequence[LinkPair]) -> None:
+    def __init__(self, motion: MotionBounds, pairs: Sequence[LinkPair]) -> None:
         """Start without known distances for these pairs of links."""
         self._levers = np.zeros((len(pairs), motion.joints))
         for levers, pair in zip(self._levers, pairs, strict=True):

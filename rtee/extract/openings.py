@@ -18,11 +18,11 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from rtee.actions.openings import Meeting, Opening, Openings, fingerprint_of
+from rtee.actions.openings import Meeting, Openings, OpeningTable, fingerprint_of
 from rtee.actions.types import Action, Timed
 from rtee.extract.collisions import Collisions
 from rtee.extract.jobs import Progress
-from rtee.extract.motion import Motion
+from rtee.extract.motion import MotionBounds
 from rtee.extract.scene import Scene
 from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.linalg import dot, matmul, matvec, norm, norms, vecmat
@@ -118,7 +118,7 @@ def make_openings(
     """
     chosen = [action for action in actions if not isinstance(action, Timed)]
     scene = Scene(hand)
-    collisions = Collisions(scene, Motion(scene))
+    collisions = Collisions(scene, MotionBounds(scene))
     openings, meetings = [], []
     for number, action in enumerate(chosen, 1):
         table = opening_of(scene.geometry, action)
@@ -140,7 +140,7 @@ def _goal(hand: Hand, action: Action) -> FloatArray:
     return np.clip(goal, hand.lower, hand.upper)
 
 
-def opening_of(geometry: HandGeometry, action: Action) -> Opening | None:
+def opening_of(geometry: HandGeometry, action: Action) -> OpeningTable | None:
     """Return the opening of an action; ``None`` if no tips oppose each other on its path.
 
     If tips close from two sides, the opening is the least distance between a tip of one side and a
@@ -376,7 +376,7 @@ class _Table:
             self._known[intensity] = sample
         return self._known[intensity]
 
-    def opening(self) -> Opening | None:
+    def opening(self) -> OpeningTable | None:
         """Return the table for the part of the path on which the opening falls, or ``None``."""
         for s in np.linspace(0.0, 1.0, _FIRST).tolist():
             self.at(s)
@@ -389,7 +389,7 @@ class _Table:
         if len(rows) < 2 or rows[0].width - rows[-1].width < _CLOSES:
             return None
         action = self._way.action
-        return Opening(
+        return OpeningTable(
             action.name,
             action.elements,
             fingerprint_of(self._way.geometry.hand, action),

@@ -269,7 +269,7 @@ class HandSession:
 
     def _show_numbers(self, state: State) -> None:
         self._table.show_state(state)
-        self._scene.show_fingers(self._said_of_fingers(state))
+        self._scene.show_fingers(self._finger_labels(state))
         self._touch_panel.show(self._touch_now())
         contacts = self._scene.seen.summary(tuple(self._hand.urdf.links))
         put(self._forces, small(escape(contacts)))
@@ -290,7 +290,7 @@ class HandSession:
         self._scene.seen.describe(held if view["Object"] else None)
         self._scene.seen.show(state.channels, forces=view["Contact forces"])
 
-    def _said_of_fingers(self, state: State) -> dict[str, str]:
+    def _finger_labels(self, state: State) -> dict[str, str]:
         """Return each finger's name with its measured force, and its effort as a bar."""
         names, bars = self._views["Names"].value, self._views["Effort"].value
         fingers, efforts = self._hand.finger_names, self._efforts(state) if bars else {}

@@ -179,7 +179,7 @@ class _GapSearch:
     def parted(self) -> list[Pair]:
         """Return the pairs of fingers whose tips are on different bodies."""
         tipped = [i for i, finger in enumerate(self._hand.fingers) if finger.tip]
-        return [pair for pair in combinations(tipped, 2) if self._apart(pair)]
+        return [pair for pair in combinations(tipped, 2) if self._on_two_bodies(pair)]
 
     def gaps(self, u: FloatArray, pairs: Iterable[Pair]) -> list[float]:
         """Return the gap of each pair of tips at a posture [m]; 0 if they touch."""
@@ -206,7 +206,7 @@ class _GapSearch:
                 u[a] = max(tried, key=lambda found: found[0])[1]
         return u
 
-    def _apart(self, pair: Pair) -> bool:
+    def _on_two_bodies(self, pair: Pair) -> bool:
         """Return whether the tips are on different bodies."""
         first, second = map(self._geometry.kinematics.body, self._tips(pair))
         return first != second

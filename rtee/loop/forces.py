@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from rtee.actions.openings import Opening
+from rtee.actions.openings import OpeningTable
 from rtee.drivers.capabilities import GripForce
 from rtee.errors import GoalRejected, suggestion
 from rtee.hand.model import Hand
@@ -60,7 +60,7 @@ def effort_limits(
 
 
 def force_efforts(
-    force: float, at: float, hand: Hand, opening: Opening, grip: Grip, devices: DeviceForces
+    force: float, at: float, hand: Hand, opening: OpeningTable, grip: Grip, devices: DeviceForces
 ) -> dict[int, float]:
     """Return the effort limits for a force between the tips, by actuator index [N·m | N].
 
@@ -92,7 +92,9 @@ def _beyond(force: float, low: float, high: float, label: str, width: float) -> 
     )
 
 
-def unlimited(hand: Hand, opening: Opening, grip: Grip, at: float, devices: DeviceForces) -> str:
+def unlimited(
+    hand: Hand, opening: OpeningTable, grip: Grip, at: float, devices: DeviceForces
+) -> str:
     """Return why no force of an action can be limited at an intensity, in words; empty if one can.
 
     Actuators and devices without limits refuse every force.

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from rtee.actions.openings import JOINTS, TABLE, Opening
+from rtee.actions.openings import JOINTS, TABLE, OpeningTable
 from rtee.drivers.capabilities import GripForce
 from rtee.hand.config_schema import ActuatorDynamics, Following
 from rtee.hand.inertia import inertia_of
@@ -135,7 +135,7 @@ class Grip:
     def of(
         cls,
         hand: Hand,
-        opening: Opening,
+        opening: OpeningTable,
         targets: Mapping[int, float],
         grips: Mapping[int, GripForce],
         empty: float,

@@ -8,7 +8,7 @@ from itertools import compress
 from typing import TYPE_CHECKING, Final
 
 from rtee.actions.naming import label
-from rtee.actions.openings import MARGIN, Opening, Openings, best_for, doubtful, meeting
+from rtee.actions.openings import MARGIN, Openings, OpeningTable, best_for, doubtful, meeting
 from rtee.actions.types import Action, Generic, Posture, Primitive, Timed
 from rtee.errors import GoalRejected, UnknownAction, suggestion
 from rtee.hand.model import Hand
@@ -23,11 +23,11 @@ from rtee.types import (
     Goal,
     Intensity,
     Named,
+    Opening,
     Stage,
     TipSpeed,
     from_rest,
 )
-from rtee.types import Opening as ToOpening
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
@@ -50,7 +50,7 @@ class OpposingTips:
         grip: Computes opening and force from measurements.
     """
 
-    opening: Opening
+    opening: OpeningTable
     grip: Grip
 
 
@@ -126,7 +126,7 @@ def choose(
                 raise GoalRejected(
                     f"unknown finger '{name}'; {suggestion(name, hand.finger_names)}"
                 )
-        if isinstance(to, ToOpening | Around):
+        if isinstance(to, Opening | Around):
             action = _best(what.elements, to, goal.force, hand, library, devices)
         else:
             action = _touching(what.elements, hand, library)
@@ -134,7 +134,7 @@ def choose(
     if found.tips is None:
         if not isinstance(to, Intensity | FirstContact):
             openings.of(found.action)  # raises the reason
-    elif isinstance(to, ToOpening | Around) and not _spans(opening := found.tips.opening, to):
+    elif isinstance(to, Opening | Around) and not _spans(opening := found.tips.opening, to):
         raise GoalRejected(
             f"{opening.label} opens {opening.narrowest * 1e3:.1f} to {opening.widest * 1e3:.1f} mm,"
             f" not {to.width * 1e3:.1f} mm; the nearest is {_nearest(opening, to):.1f} mm"
@@ -162,27 +162,27 @@ def _named(what: Named, hand: Hand, library: ActionLibrary) -> Action:
 
 
 def _tips(
-    action: Action, opening: Opening, hand: Hand, library: ActionLibrary, devices: DeviceForces
+    action: Action, opening: OpeningTable, hand: Hand, library: ActionLibrary, devices: DeviceForces
 ) -> OpposingTips:
     targets = targets_of(action.waypoints[-1], hand)
     empty = meeting(action, opening, library, library.openings)
     return OpposingTips(opening, Grip.of(hand, opening, targets, devices.grips, empty))
 
 
-def _spans(opening: Opening, to: ToOpening | Around) -> bool:
+def _spans(opening: OpeningTable, to: Opening | Around) -> bool:
     """Return whether an action can open to a width, or close on an object that wide."""
     least = opening.narrowest - (to.narrower if isinstance(to, Around) else 0.0)
     return least - _ROUNDING <= to.width <= opening.widest + _ROUNDING
 
 
-def _nearest(opening: Opening, to: ToOpening | Around) -> float:
+def _nearest(opening: OpeningTable, to: Opening | Around) -> float:
     """Return the opening of an action that is nearest to a width [mm]."""
     return 1e3 * (opening.widest if to.width > opening.widest else opening.narrowest)
 
 
 def _best(
     fingers: Sequence[str],
-    to: ToOpening | Around,
+    to: Opening | Around,
     force: Force | None,
     hand: Hand,
     library: ActionLibrary,
@@ -216,7 +216,7 @@ def _exerts(
 
 
 def _no_action(
-    fingers: Sequence[str], to: ToOpening | Around, hand: Hand, openings: Sequence[Opening]
+    fingers: Sequence[str], to: Opening | Around, hand: Hand, openings: Sequence[OpeningTable]
 ) -> str:
     """Return an error message that no action suits a width, and which width is nearest."""
     of = f" of {', '.join(fingers)}" if fingers else ""
@@ -349,7 +349,7 @@ def _meets(action: Action, hand: Hand, openings: Openings) -> Mapping[int, float
 
 
 def _legs(
-    to: Intensity | ToOpening | Around | FirstContact,
+    to: Intensity | Opening | Around | FirstContact,
     action: Action,
     tips: OpposingTips | None,
     hand: Hand,
@@ -357,7 +357,7 @@ def _legs(
     shares: Sequence[float] = (1.0,)
     if isinstance(to, Intensity):
         shares = (_share(to, action),)
-    elif isinstance(to, ToOpening | Around) and tips is not None:
+    elif isinstance(to, Opening | Around) and tips is not None:
         grip = tips.grip
         shares = (grip.intensity_at(to.width),)
         if isinstance(to, Around):
@@ -395,7 +395,7 @@ def _efforts(
     """Return the effort limits by actuator index [N·m | N]."""
     if not isinstance(goal.effort, Force):
         return effort_limits(goal.effort, hand, devices.refused)
-    if tips is None or not isinstance(goal.to, ToOpening | Around):
+    if tips is None or not isinstance(goal.to, Opening | Around):
         return {}
     at = tips.grip.intensity_at(goal.to.width)
     efforts, *_ = [
@@ -420,7 +420,7 @@ def _speed(goal: Goal, action: Action, tips: OpposingTips | None, hand: Hand) ->
     grip = tips.grip
     # Where the opening falls fastest, so that it closes no faster anywhere else.
     at = max(grip.intensity, key=grip.slope_at)
-    if isinstance(to, ToOpening | Around):
+    if isinstance(to, Opening | Around):
         at = grip.intensity_at(to.width)
     name = label(action.name, action.elements)
     return checked_share(speed.value, hand, grip, at, name)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rtee.actions.naming import label
-from rtee.actions.openings import MARGIN, Opening, best_for
+from rtee.actions.openings import MARGIN, OpeningTable, best_for
 from rtee.actions.types import Action
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.frames import homogeneous
@@ -175,7 +175,7 @@ def _grasp(pose: FloatArray, width: Any, score: Any, number: int) -> GripperPose
 
 def reach_gripper_pose(
     hand: Hand,
-    actions: Iterable[tuple[Action, Opening]],
+    actions: Iterable[tuple[Action, OpeningTable]],
     grasp: GripperPose,
     *,
     fingers: Sequence[str] = (),
@@ -246,12 +246,12 @@ def reach_gripper_pose(
 
 
 def _best(
-    actions: Sequence[tuple[Action, Opening]],
+    actions: Sequence[tuple[Action, OpeningTable]],
     width: float,
     fingers: Sequence[str],
     margin: float,
     hand: Hand,
-) -> tuple[Action, Opening]:
+) -> tuple[Action, OpeningTable]:
     """Return the action that suits a width best; see `best_for`."""
     able = [pair for pair in actions if not fingers or set(fingers) == set(pair[1].fingers)]
     if not able:
@@ -269,7 +269,9 @@ def _best(
     )
 
 
-def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: float) -> FloatArray:
+def grasp_frame(
+    tips: Fingertips, action: Action, opening: OpeningTable, intensity: float
+) -> FloatArray:
     """Return the pose ``(4, 4)`` of a hand's grasp in its base frame; axes as in `GripperPose`.
 
     Raises:
@@ -311,6 +313,8 @@ def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: f
     return homogeneous(turned, middle + (reach - float(middle @ along)) * along)
 
 
-def _positions(hand: Hand, action: Action, opening: Opening, intensity: float) -> dict[str, float]:
+def _positions(
+    hand: Hand, action: Action, opening: OpeningTable, intensity: float
+) -> dict[str, float]:
     u = from_rest(np.array(hand.rest), ActionPath.of(hand, action).end, intensity)
     return {name: float(u[hand.actuator_index(name)]) for name in opening.actuators}

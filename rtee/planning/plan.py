@@ -15,7 +15,7 @@ from rtee.planning.composition import composed_for
 from rtee.planning.objects import GraspObject, read_object
 from rtee.planning.planner import FRICTION, JAWS, Planner
 from rtee.planning.result import GraspPlan, Ranking
-from rtee.planning.table import Closing
+from rtee.planning.table import ClosingKind
 
 GOOD: Final = 0.6
 """Score of a grasp that is good enough: above, nothing is composed for the object."""
@@ -111,12 +111,12 @@ def plan_grasps(
     return planner.ranking(plans, rejected)
 
 
-def _closing(hand: Hand, plan: GraspPlan, *, uneven: bool) -> Closing:
+def _closing(hand: Hand, plan: GraspPlan, *, uneven: bool) -> ClosingKind:
     if plan.force is not None:
-        return Closing.WAITING
+        return ClosingKind.WAITING
     if uneven:
-        return Closing.UNEVEN
-    return Closing.JAWS if len(hand.fingers) <= JAWS else Closing.FINGERS
+        return ClosingKind.UNEVEN
+    return ClosingKind.JAWS if len(hand.fingers) <= JAWS else ClosingKind.FINGERS
 
 
 def _planned(

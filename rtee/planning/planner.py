@@ -12,7 +12,7 @@ import numpy as np
 
 from rtee import values
 from rtee.actions.naming import label
-from rtee.actions.openings import MARGIN, Opening, Openings
+from rtee.actions.openings import MARGIN, Openings, OpeningTable
 from rtee.actions.types import Action, PrimitiveKind, Timed, kind_of
 from rtee.errors import ConfigError
 from rtee.hand.frames import base_in_flange, flange_with
@@ -27,7 +27,7 @@ from rtee.planning.poses import Poses, orientations, outward
 from rtee.planning.result import Contact, GraspPlan, Matrix, Ranking
 from rtee.planning.scene import GraspScene
 from rtee.planning.search import FoundGrasp, Search, search_together
-from rtee.planning.springs import Pressing, gains, pressing, scaled, sunk
+from rtee.planning.springs import PressingForces, gains, pressing, scaled, sunk
 from rtee.planning.table import Ground
 from rtee.planning.wrench import EDGES, GRAVITY, balanced, load, quality, wrenches
 from rtee.sample import BoolArray, FloatArray
@@ -315,7 +315,7 @@ class Planner:
         """Return whether an action grasps with a force, where the first side to touch waits."""
         return self._pressing(action) is not None
 
-    def _pressing(self, action: Action) -> Opening | None:
+    def _pressing(self, action: Action) -> OpeningTable | None:
         """Return the opening of an action, if each side has a motor of its own.
 
         Only then can one side wait for the other, and press with the same force.
@@ -389,7 +389,7 @@ class Planner:
         """Return the sum of a grasp's promise and of how squarely its sides press."""
         return self.promise(closure) + 2.0 * self._squareness(search, closure)
 
-    def _pressed(self, search: Search, closure: Closure) -> tuple[Pressing, FloatArray]:
+    def _pressed(self, search: Search, closure: Closure) -> tuple[PressingForces, FloatArray]:
         """Return how fingers that grasp with a force press, and the maps of their contacts."""
         contacts = closure.contacts[:_MOST_CONTACTS]
         maps = self.scene.torques(closure.u, contacts)

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from rtee.actions.openings import Opening
+from rtee.actions.openings import OpeningTable
 from rtee.actions.types import Action
 from rtee.planning.approaches import GAP, Approach, Found, PoseCandidate, bring_in
 from rtee.planning.closing import Closure, HandClosing, close_all
@@ -45,8 +45,8 @@ class Search:
         tried: How many poses were tried.
         ground: The table to keep clear of, if there is one.
         blocked: Whether the ground ruled out a grasp.
-        opening: Opening of the action, if its sides can press with a force: then fingers wait for
-            one another.
+        opening: Opening table of the action, if its sides can press with a force: then fingers wait
+            for one another.
         meets: Intensity at which the empty hand may touch itself, by actuator of the action.
     """
 
@@ -60,7 +60,7 @@ class Search:
     tried: int = 0
     ground: Ground | None = None
     blocked: bool = False
-    opening: Opening | None = None
+    opening: OpeningTable | None = None
     meets: Mapping[str, float] = field(default_factory=dict)
 
     def by_force(self, width: float) -> bool:

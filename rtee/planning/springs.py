@@ -56,7 +56,7 @@ def gains(hand: Hand) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Pressing:
+class PressingForces:
     """Fingers that press on an object.
 
     Attributes:
@@ -72,7 +72,7 @@ class Pressing:
 
 def pressing(
     found: FloatArray, maps: FloatArray, stiffness: FloatArray, way: FloatArray
-) -> Pressing:
+) -> PressingForces:
     """Return how fingers press.
 
     Args:
@@ -97,17 +97,17 @@ def pressing(
 
     most = given(least_squares(matrix, wanted)[0])
     if most <= 1e-9 * whole:
-        return Pressing(0.0, np.zeros((count, 3)), np.zeros(count))
+        return PressingForces(0.0, np.zeros((count, 3)), np.zeros(count))
     system = np.vstack([matrix, scale * found.T])
     shares, _ = least_squares(system, np.concatenate([wanted, np.zeros(6)]))
     by_contact = shares.reshape(count, each)
     forces = np.einsum("ke,kej->kj", by_contact, found.reshape(count, each, 6)[:, :, :3])
     share = min(1.0, max(0.0, given(shares) / most))
-    return Pressing(share, forces, by_contact.sum(axis=1))
+    return PressingForces(share, forces, by_contact.sum(axis=1))
 
 
 def sunk(
-    pressed: Pressing,
+    pressed: PressingForces,
     maps: FloatArray,
     stiffness: FloatArray,
     arms: FloatArray,
@@ -158,8 +158,8 @@ def _crossed(arm: FloatArray) -> FloatArray:
     return np.asarray(cross(arm[None], np.eye(3)).T)
 
 
-def scaled(pressed: Pressing, normal: float) -> Pressing:
+def scaled(pressed: PressingForces, normal: float) -> PressingForces:
     """Return the same pressing fingers, scaled to a total normal force [N]."""
     whole = float(pressed.normal.sum())
     factor = normal / whole if whole > 0.0 else 0.0
-    return Pressing(pressed.share, factor * pressed.forces, factor * pressed.normal)
+    return PressingForces(pressed.share, factor * pressed.forces, factor * pressed.normal)

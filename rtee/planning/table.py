@@ -53,7 +53,7 @@ _SHARES: Final = (0.1, 0.3, 0.6, 1.0)
 """Shares of the approach at which the hand is checked, closer to each other near its end."""
 
 
-class Closing(Enum):
+class ClosingKind(Enum):
     """How a hand closes on an object that stands on a table.
 
     The value has scores, and the shares of grasps with these scores that held in simulation, with

@@ -48,7 +48,7 @@ PLANNED_WITHIN: Final = 90.0
 """Time to wait for a plan [s]: up to four other plans may be waiting before it."""
 
 
-class ActionClient:
+class LibraryClient:
     """Lists, adds, stores, renames and removes the actions of a running hand.
 
     A change takes effect for all clients at once.
@@ -248,7 +248,7 @@ _NAMED: Final = 3
 class ReachClient:
     """Converts grasps of a planner to postures of the hand, and executes them."""
 
-    def __init__(self, link: Link, actions: ActionClient, goals: GoalClient) -> None:
+    def __init__(self, link: Link, actions: LibraryClient, goals: GoalClient) -> None:
         self._link, self._actions, self._goals = link, actions, goals
 
     async def reach(

@@ -22,7 +22,7 @@ import anyio.to_thread
 from rtee import monotonic
 from rtee.errors import ConfigError, NoHand, RemoteError, RequestRejected, suggestion
 from rtee.messages.requests import REQUESTS, Role
-from rtee.remote.action_client import ActionClient, ReachClient
+from rtee.remote.action_client import LibraryClient, ReachClient
 from rtee.remote.find import VARIABLE as CONNECT
 from rtee.remote.find import FoundSession, chosen_here, open_hand
 from rtee.remote.goal import GoalClient
@@ -133,7 +133,7 @@ ONE_PROCESS = "a connected hand cannot be copied or pickled; connect in each pro
 class RemoteHand:
     """A running hand; made by `connect`.
 
-    It has all methods of `GoalClient`, `StreamClient`, `LeaseClient`, `Monitoring`, `ActionClient`
+    It has all methods of `GoalClient`, `StreamClient`, `LeaseClient`, `Monitoring`, `LibraryClient`
     and `ReachClient`.
 
     Requests that move the hand are refused with `LeaseHeld` while another client holds the lease.
@@ -149,7 +149,7 @@ class RemoteHand:
         self.name, self.client = link.hand, link.client
         self._link, self._stops = link, stops
         self._monitoring = Monitoring(link)
-        self._actions = ActionClient(link)
+        self._actions = LibraryClient(link)
         self._goals = GoalClient(link, self._monitoring.info)
         self._lease = LeaseClient(link)
         self._streams = StreamClient(link, self._monitoring, self._goals)
@@ -195,22 +195,22 @@ class RemoteHand:
     object_description = _part("_monitoring", Monitoring.object_description)
     robot_description = _part("_monitoring", Monitoring.robot_description)
 
-    actions = _part("_actions", ActionClient.actions)
-    primitives = _part("_actions", ActionClient.primitives)
-    partners = _part("_actions", ActionClient.partners)
-    openings = _part("_actions", ActionClient.openings)
-    limits = _part("_actions", ActionClient.limits)
-    trials = _part("_actions", ActionClient.trials)
-    grasp_plan = _part("_actions", ActionClient.grasp_plan)
+    actions = _part("_actions", LibraryClient.actions)
+    primitives = _part("_actions", LibraryClient.primitives)
+    partners = _part("_actions", LibraryClient.partners)
+    openings = _part("_actions", LibraryClient.openings)
+    limits = _part("_actions", LibraryClient.limits)
+    trials = _part("_actions", LibraryClient.trials)
+    grasp_plan = _part("_actions", LibraryClient.grasp_plan)
     reach = _part("_reaching", ReachClient.reach)
     grasp_at = _part("_reaching", ReachClient.grasp_at)
-    add_generic = _part("_actions", ActionClient.add_generic)
-    add_composed = _part("_actions", ActionClient.add_composed)
-    add_timed = _part("_actions", ActionClient.add_timed)
-    add_action = _part("_actions", ActionClient.add_action)
-    store_action = _part("_actions", ActionClient.store_action)
-    remove_action = _part("_actions", ActionClient.remove_action)
-    rename_action = _part("_actions", ActionClient.rename_action)
+    add_generic = _part("_actions", LibraryClient.add_generic)
+    add_composed = _part("_actions", LibraryClient.add_composed)
+    add_timed = _part("_actions", LibraryClient.add_timed)
+    add_action = _part("_actions", LibraryClient.add_action)
+    store_action = _part("_actions", LibraryClient.store_action)
+    remove_action = _part("_actions", LibraryClient.remove_action)
+    rename_action = _part("_actions", LibraryClient.rename_action)
 
     async def ask(
         self, name: str, fields: Mapping[str, Any] | None = None, *, within: float = ANSWER_WITHIN

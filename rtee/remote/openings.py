@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rtee.actions.library import ActionLibrary
-from rtee.actions.openings import Opening, meeting
+from rtee.actions.openings import OpeningTable, meeting
 from rtee.actions.types import Action
 from rtee.loop.devices import device_forces
 from rtee.loop.forces import DeviceForces, unlimited
@@ -148,7 +148,7 @@ def opening_fields(library: ActionLibrary, devices: Iterable[Supervisor]) -> dic
 
 
 def _fields(
-    library: ActionLibrary, action: Action, opening: Opening, forces: DeviceForces
+    library: ActionLibrary, action: Action, opening: OpeningTable, forces: DeviceForces
 ) -> dict[str, Any]:
     hand, last = library.hand, action.waypoints[-1]
     targets = {hand.actuator_index(name): last.position[name] for name in last.involved}

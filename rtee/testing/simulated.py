@@ -119,7 +119,7 @@ class SimulatedHand(EmulatedDevices, Observer):
             self._run(self._finish())
         finally:
             self._ended = True
-            _apart(self._runner.close)
+            _beside_event_loop(self._runner.close)
 
     async def _begin(self) -> None:
         lives = asyncio.Event()
@@ -166,7 +166,7 @@ class SimulatedHand(EmulatedDevices, Observer):
         if self._ended:
             work.close()  # otherwise Python warns that nobody awaited it
             raise NoHand(f"the simulated hand '{self.name}' has ended; begin another one")
-        return _apart(lambda: self._runner.run(work))
+        return _beside_event_loop(lambda: self._runner.run(work))
 
     # --- goals
 
@@ -248,7 +248,7 @@ class SimulatedHand(EmulatedDevices, Observer):
         self._run(done())
 
 
-def _apart(call: Callable[[], T]) -> T:
+def _beside_event_loop(call: Callable[[], T]) -> T:
     """Call a function that runs an event loop, in another thread if one runs already."""
     try:
         asyncio.get_running_loop()

@@ -89,9 +89,9 @@ def _plan(job: TrialJob, out: TextIO) -> None:
 
     _write(out, {"progress": 0.05, "text": "looking for grasps"})
     ready = bench(job.folder)
-    thing = read_object(job.object, job.mass)
+    obj = read_object(job.object, job.mass)
     friction = FRICTION if job.friction is None else job.friction
-    ranking = plan_grasps(ready.hand, ready.library, thing, friction=friction, table=job.table)
+    ranking = plan_grasps(ready.hand, ready.library, obj, friction=friction, table=job.table)
     _write(out, {"ranking": to_document(ranking)})
     if not job.checked or not ranking.plans:
         return
@@ -99,7 +99,7 @@ def _plan(job: TrialJob, out: TextIO) -> None:
         from rtee.trials.planned import checked
     most = min(job.checked, len(ranking.plans))
     _write(out, {"progress": 0.4, "text": f"trying the best {most} in simulation"})
-    ranking = checked(ready, thing, ranking, most)
+    ranking = checked(ready, obj, ranking, most)
     _write(out, {"ranking": to_document(ranking)})
 
 

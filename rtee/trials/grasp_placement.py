@@ -94,8 +94,8 @@ class Places:
         """Return up to ``most`` places, the tightest first, each well apart from the others."""
         found: list[Place] = []
         for place in self._candidates():  # nearest to the fingertips first
-            if all(self._apart(place, other) for other in found):
-                found.append(Place(place.pose, place.intensity, self._way(place.pose)))
+            if all(self._differ(place, other) for other in found):
+                found.append(Place(place.pose, place.intensity, self._approach_offset(place.pose)))
                 if len(found) == most:
                     break
         return found
@@ -113,7 +113,7 @@ class Places:
         return pose
 
     @staticmethod
-    def _apart(one: Place, other: Place) -> bool:
+    def _differ(one: Place, other: Place) -> bool:
         near = float(np.linalg.norm(one.pose[:3, 3] - other.pose[:3, 3])) < _APART
         # Entries of two turns that differ by less than 0.2 are within some 12 degrees.
         return not (near and np.allclose(one.pose[:3, :3], other.pose[:3, :3], atol=0.2))
@@ -222,7 +222,7 @@ class Places:
         depth = self._simulation.surroundings.depth_at(self._data, self._base() @ pose)
         return bool(depth < _TOUCH)
 
-    def _way(self, pose: FloatArray) -> FloatArray:
+    def _approach_offset(self, pose: FloatArray) -> FloatArray:
         """Return the offset from which the object can come to the hand at rest."""
         axis = approach(self._hand)
         others = [v for v in (*np.eye(3), *-np.eye(3)) if abs(float(v @ axis)) < 0.5]

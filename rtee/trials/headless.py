@@ -142,11 +142,11 @@ class HeadlessHand(Generic[P]):
         self._before.append(call)
 
     def _describe_object(self) -> None:
-        thing = self.simulation.object_description
+        obj = self.simulation.object_description
         for observer in self.observers:
             describe = getattr(observer, "on_object", None)
-            if describe is not None and thing is not None:
-                describe(thing, self.time)
+            if describe is not None and obj is not None:
+                describe(obj, self.time)
 
     def apply(self, command: Command) -> None:
         """Give a command to the controller, with the next tick."""

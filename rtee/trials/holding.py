@@ -37,7 +37,7 @@ def turned(shape: str, before: FloatArray, now: FloatArray) -> float:
     return math.acos(min(max(cosine, -1.0), 1.0))
 
 
-def said_lost(result: Result, events: Iterable[Event]) -> bool:
+def reports_loss(result: Result, events: Iterable[Event]) -> bool:
     """Return whether the hand reports a loss for every finger that held something.
 
     Args:

@@ -38,7 +38,7 @@ _DOWN: Final = np.array([0.0, 0.0, -1.0])
 
 def check_plan(
     ready: TrialBench,
-    thing: GraspObject,
+    obj: GraspObject,
     ranking: Ranking,
     plan: GraspPlan,
     variation: Variation | None = None,
@@ -59,7 +59,7 @@ def check_plan(
     # Within the trial, an action that is missing would count as a lost object.
     library.find(name, plan.elements)
     options = SimOptions(
-        object_mass=thing.mass,
+        object_mass=obj.mass,
         friction=ranking.friction if variation is None else variation.friction,
         support="held" if plan.table is None else "table",
         carrier="arm",
@@ -70,9 +70,9 @@ def check_plan(
     table = None if plan.table is None else pose @ np.array(plan.table)
     down = np.array(ranking.weight_axis) if table is None else -table[:3, 2]
     simulation = _simulation(
-        hand, options, thing, pose, down, settings.period, table, edge=plan.overhang > 0.0
+        hand, options, obj, pose, down, settings.period, table, edge=plan.overhang > 0.0
     )
-    trial = Trial(name, plan.elements, thing.name, plan.intensity, thing.mass)
+    trial = Trial(name, plan.elements, obj.name, plan.intensity, obj.mass)
     place = Place(pose, plan.touch, np.array(plan.approach_from), plan.preshape)
     headless = HeadlessHand(hand, library, settings, simulation)
     pressed = 0.0
@@ -98,7 +98,7 @@ def _goal(plan: GraspPlan, name: str) -> Goal:
     return Goal(what, Around(plan.width), effort=Force(plan.force))
 
 
-def checked(ready: TrialBench, thing: GraspObject, ranking: Ranking, most: int) -> Ranking:
+def checked(ready: TrialBench, obj: GraspObject, ranking: Ranking, most: int) -> Ranking:
     """Return a ranking whose ``most`` best plans were tried in dynamics; successes come first.
 
     If none of these holds, the others are tried, too, until one does: geometry does not see how the
@@ -109,7 +109,7 @@ def checked(ready: TrialBench, thing: GraspObject, ranking: Ranking, most: int) 
     for number, plan in enumerate(plans):
         if number >= most and held:
             break
-        check = check_plan(ready, thing, ranking, plan)
+        check = check_plan(ready, obj, ranking, plan)
         said = (
             f"held in dynamics, slip {check.slip * 1e3:.1f} mm"
             if check.held
@@ -125,7 +125,7 @@ def checked(ready: TrialBench, thing: GraspObject, ranking: Ranking, most: int) 
 def _simulation(
     hand: Hand,
     options: SimOptions,
-    thing: GraspObject,
+    obj: GraspObject,
     place: FloatArray,
     weight_axis: FloatArray,
     period: float,
@@ -144,7 +144,7 @@ def _simulation(
     add_carrier(built.spec, turned, options)
     if table is not None:
         add_table(built.spec, pose @ table, edge=edge)
-    _add_object(built.spec, thing, pose @ place)
+    _add_object(built.spec, obj, pose @ place)
     model = compiled(built.spec, hand)
     return Simulation(
         model,
@@ -170,12 +170,12 @@ def _turned(axis: FloatArray) -> FloatArray:
     return rotation
 
 
-def _add_object(spec: mujoco.MjSpec, thing: GraspObject, pose: FloatArray) -> None:
+def _add_object(spec: mujoco.MjSpec, obj: GraspObject, pose: FloatArray) -> None:
     """Add an object as it was planned for: the mass shared by the volumes of its pieces."""
-    first = thing.pieces[0]
+    first = obj.pieces[0]
     if first.kind in NUMBERS:
-        add_object(spec, ObjectShape(first.kind, first.size), mass=thing.mass, pose=pose)
+        add_object(spec, ObjectShape(first.kind, first.size), mass=obj.mass, pose=pose)
         return
-    volumes = np.array([piece.shape.computeVolume() for piece in thing.pieces])
-    points = [piece.points for piece in thing.pieces]
-    add_hulls(spec, add_body(spec, pose), points, thing.mass * volumes / volumes.sum())
+    volumes = np.array([piece.shape.computeVolume() for piece in obj.pieces])
+    points = [piece.points for piece in obj.pieces]
+    add_hulls(spec, add_body(spec, pose), points, obj.mass * volumes / volumes.sum())

@@ -79,9 +79,9 @@ class _Strip:
         # A recording may list the actuators in another order than the hand.
         self._order = [states.names.index(name) for name in hand.actuator_names]
         self._mesh = HandMesh(HandGeometry(hand, visual=True))
-        thing = recording.object_description
+        obj = recording.object_description
         links = len(self._mesh.links)
-        parts = [_triangles(part) for part in thing.parts] if thing is not None else []
+        parts = [_triangles(part) for part in obj.parts] if obj is not None else []
         self._parts = [(Mesh.of(triangles, links), place) for triangles, place in parts]
         colours = [*link_colours(hand, self._mesh.links), linear_rgb(_OBJECT), linear_rgb(_FORCE)]
         self._force = links + 1

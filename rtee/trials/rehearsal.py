@@ -47,14 +47,14 @@ class Rehearsal:
 
     Attributes:
         result: How the goal ended.
-        thing: The object, as on the command line; empty: none.
+        obj: The object, as on the command line; empty: none.
         held: Whether the object is in the hand afterwards.
         force: The largest force on a finger [N].
         struck: The largest force of the hand's links on one another, fingertips apart [N].
     """
 
     result: Result
-    thing: str
+    obj: str
     held: bool
     force: float
     struck: float
@@ -62,15 +62,15 @@ class Rehearsal:
     @property
     def words(self) -> str:
         """Summary of the rehearsal, in one sentence."""
-        object_ = f"; {self.thing} is {'held' if self.held else 'lost'}" if self.thing else ""
+        object_ = f"; {self.obj} is {'held' if self.held else 'lost'}" if self.obj else ""
         return f"{sentence(self.result)}{object_}; at most {self.force:.1f} N on a finger"
 
     def refusal(self, force: float) -> str:
         """Return why the goal is not to be done, with a limit of the force [N]; empty if it may."""
         if self.result.aborted or self.result.timed_out:
             return "the goal fails"
-        if self.thing and not self.held:
-            return f"{self.thing} is lost"
+        if self.obj and not self.held:
+            return f"{self.obj} is lost"
         if self.struck > _STRUCK:
             return f"the hand strikes itself with {self.struck:.1f} N"
         if self.force > force:
@@ -79,7 +79,7 @@ class Rehearsal:
 
 
 def rehearse(
-    name: str, urdf: str, goal: Goal, thing: str, position: Mapping[str, float]
+    name: str, urdf: str, goal: Goal, obj: str, position: Mapping[str, float]
 ) -> Rehearsal:
     """Play a goal in MuJoCo, as fast as the computer can.
 
@@ -87,7 +87,7 @@ def rehearse(
         name: The hand, whose files are read here.
         urdf: The URDF of the running hand, which must be that of the files.
         goal: The goal.
-        thing: Object to close on, as on the command line; empty: none.
+        obj: Object to close on, as on the command line; empty: none.
         position: Where the actuators are [rad | m]; with an object, the hand starts at rest.
 
     Raises:
@@ -101,13 +101,13 @@ def rehearse(
     library = ActionLibrary.load(hand, hand_folder(name)[0] / "actions")
     settings = loop_settings(config, rate=RATE)
     plan = make_plan(goal, hand, library, settings)
-    options = SimOptions(object=thing, carrier="lift" if thing else "fixed")
+    options = SimOptions(object=obj, carrier="lift" if obj else "fixed")
     simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
     around = simulation.surroundings
-    if thing:
+    if obj:
         places = Places(simulation, hand, library.find(plan.action, plan.elements)).find(1)
         if not places:
-            raise GoalRejected(f"{thing} does not fit between the fingers of {plan.action}")
+            raise GoalRejected(f"{obj} does not fit between the fingers of {plan.action}")
         simulation.reset()
         around.place(around.base_pose @ places[0].pose)
     else:
@@ -122,11 +122,11 @@ def rehearse(
     scene.watch_forces()
     scene.headless.before_tick(watch)
     steps: list[Step] = [Grasp(goal), Wait(_SETTLE)]
-    if thing:
+    if obj:
         steps += [release, mark, Wait(_WATCHED)]
     scene.play(steps)
-    held = bool(thing) and scene.moved <= SLIP and len(around.touching()) >= _HELD_BY
-    return Rehearsal(scene.said, thing, held, scene.peak, struck)
+    held = bool(obj) and scene.moved <= SLIP and len(around.touching()) >= _HELD_BY
+    return Rehearsal(scene.said, obj, held, scene.peak, struck)
 
 
 def _stand(simulation: Simulation, hand: Hand, position: Mapping[str, float]) -> None:

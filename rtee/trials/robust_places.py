@@ -31,7 +31,7 @@ _OUTLOOK: Final = np.array(
 
 
 def robust_places(
-    simulation: Simulation, library: ActionLibrary, action: Action, thing: GraspObject, most: int
+    simulation: Simulation, library: ActionLibrary, action: Action, obj: GraspObject, most: int
 ) -> list[Place]:
     """Return places for an object, the most robust ones first, each well apart from the others.
 
@@ -42,20 +42,20 @@ def robust_places(
         simulation: The hand with its object and carrier.
         library: The hand's actions; its pinches say which fingers meet.
         action: The action to grasp the object with.
-        thing: The object.
+        obj: The object.
         most: How many places are wanted.
     """
     hand = library.hand
     tips = Places(simulation, hand, action).find(_FROM_TIPS)
     others = [PoseCandidate(place.pose, place.approach_from, 0.0, 0.0) for place in tips]
-    found = robust_poses(Planner(hand, thing), action, groups_of(library, action), others)
+    found = robust_poses(Planner(hand, obj), action, groups_of(library, action), others)
     places = [
         Place(pose.candidate.pose, pose.first, pose.candidate.approach_from) for pose in found
     ]
     chosen: list[Place] = []
     # Where too few places are robust, those between the fingertips make up the number.
     for place in (*places, *tips):
-        if all(_apart(place, other, thing) for other in chosen):
+        if all(_differ(place, other, obj) for other in chosen):
             chosen.append(place)
             if len(chosen) == most:
                 break
@@ -73,29 +73,29 @@ def groups_of(library: ActionLibrary, action: Action) -> list[Primitive]:
     ]
 
 
-def misfit(library: ActionLibrary, action: Action, thing: GraspObject, variations: int) -> str:
+def misfit(library: ActionLibrary, action: Action, obj: GraspObject, variations: int) -> str:
     """Return why an object does not fit a hand; empty if it does.
 
     With variations, the largest and the heaviest one must fit.
     """
     hand = library.hand
-    mass = thing.mass * (1.0 + MASS if variations else 1.0)
+    mass = obj.mass * (1.0 + MASS if variations else 1.0)
     if mass > hand.payload:
         return f"{mass:.3g} kg, the hand may hold {hand.payload:.3g} kg"
     if variations:
-        thing = thing.scaled(1.0 + SIZE)
-    planner = Planner(hand, thing)
+        obj = obj.scaled(1.0 + SIZE)
+    planner = Planner(hand, obj)
     if planner.no_opening:
         return planner.no_opening
     reason = too_wide(planner, action, groups_of(library, action))
     return f"{reason}, {1.0 + SIZE:g} times as large" if reason and variations else reason
 
 
-def _apart(one: Place, other: Place, thing: GraspObject) -> bool:
+def _differ(one: Place, other: Place, obj: GraspObject) -> bool:
     """Return whether two places differ, as far as the object's outline shows."""
     shift = float(np.linalg.norm(one.pose[:3, 3] - other.pose[:3, 3]))
     outlines = [
-        thing.support(_OUTLOOK @ place.pose[:3, :3]) - _OUTLOOK @ place.pose[:3, :3] @ thing.box[0]
+        obj.support(_OUTLOOK @ place.pose[:3, :3]) - _OUTLOOK @ place.pose[:3, :3] @ obj.box[0]
         for place in (one, other)
     ]
     return shift > _APART or float(np.abs(outlines[0] - outlines[1]).max()) > _APART

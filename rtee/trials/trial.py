@@ -114,12 +114,12 @@ def run_trial(
     # Built once: the variations differ only in the object and the friction.
     built = build_hand(hand, SimOptions())
     simulation = _simulation(ready, trial, built=built)
-    thing = read_object(trial.object, trial.mass)
-    unfit = misfit(library, action, thing, trial.variations)
+    obj = read_object(trial.object, trial.mass)
+    unfit = misfit(library, action, obj, trial.variations)
     if unfit:
         return TrialResult(trial, False, unfit, fits=False)
     # Geometry ranks the places, since each one tried in dynamics takes a second.
-    places = robust_places(simulation, library, action, thing, trial.places)
+    places = robust_places(simulation, library, action, obj, trial.places)
     if not places:
         return TrialResult(trial, False, "the object does not fit between the fingers")
     if skip >= len(places):

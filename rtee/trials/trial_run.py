@@ -10,7 +10,7 @@ from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ActionError, SimulationUnstable
 from rtee.trials.grasp_placement import Place
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.holding import SLIP, TURN, said_lost, turned
+from rtee.trials.holding import SLIP, TURN, reports_loss, turned
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.scenario import (
     ApproachStep,
@@ -141,7 +141,7 @@ class TrialRun:
             reason = f"it slipped by {1e3 * scene.slip:.0f} mm"
         elif not reason and turn > TURN:
             reason = f"it turned by {math.degrees(turn):.0f} degrees"
-        elif not reason and said_lost(scene.said, scene.events):
+        elif not reason and reports_loss(scene.said, scene.events):
             reason = "the hand says that it lost it"
         scene.tell("shake")
         return reason

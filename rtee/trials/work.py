@@ -218,8 +218,8 @@ def attempt(name: str, trial: Trial) -> TrialResult:
 def _planned(name: str, task: Planning) -> Planned:
     ready = bench(name)
     try:
-        thing = read_object(task.object, task.mass)
-        return Planned(plan_grasps(ready.hand, ready.library, thing, friction=task.friction))
+        obj = read_object(task.object, task.mass)
+        return Planned(plan_grasps(ready.hand, ready.library, obj, friction=task.friction))
     except RteeError as error:
         return Planned(None, str(error))
 

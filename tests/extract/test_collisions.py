@@ -9,7 +9,7 @@ from extract.models import Model, box, sphere
 from rtee.extract.collisions import CollisionChecker, first_contact
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import TipEdge
-from rtee.extract.motion import LinkDistanceBounds, Motion
+from rtee.extract.motion import LinkDistanceBounds, MotionBounds
 from rtee.extract.scene import Scene
 from rtee.hand.load import load_hand
 
@@ -188,7 +188,7 @@ def test_only_pairs_that_move_are_watched(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["schunk_svh", "robotiq_3f", "heri_ii"])
 def test_no_distance_changes_faster_than_the_bound_on_the_motion(name: str) -> None:
     scene = Scene(load_hand(name))
-    motion = Motion(scene)
+    motion = MotionBounds(scene)
     hand = scene.hand
     step = 1e-3
     for goal in np.random.default_rng(2).uniform(hand.lower, hand.upper, (4, len(hand.rest))):
@@ -207,7 +207,7 @@ def test_no_distance_changes_faster_than_the_bound_on_the_motion(name: str) -> N
 def test_what_is_known_of_distances_is_never_more_than_they_are(name: str) -> None:
     scene = Scene(load_hand(name))
     pairs = tuple(scene.pairs.values())
-    known, hand = LinkDistanceBounds(Motion(scene), pairs), scene.hand
+    known, hand = LinkDistanceBounds(MotionBounds(scene), pairs), scene.hand
     random = np.random.default_rng(3)
     u, told = hand.rest.copy(), 0
     for _ in range(30):
@@ -224,7 +224,7 @@ def test_what_is_known_of_distances_is_never_more_than_they_are(name: str) -> No
 
 def test_first_contact_is_where_the_tips_begin_to_touch(tmp_path: Path) -> None:
     scene = Scene(gantry(box((0.1, 0.1, 0.1), (0.6, 0, 0))).load(tmp_path))
-    motion = Motion(scene)
+    motion = MotionBounds(scene)
     pair = scene.pairs["posts", "ball"]
     path = motion.path_to(np.array([0.8, 0.0]))
     at = first_contact(scene, pair, path, motion.speed(pair, path))

@@ -61,10 +61,10 @@ def test_the_value_pulls_lonely_tips_and_counts_depths(tmp_path: Path) -> None:
     three = goal(scene, 3)
     scene.place(np.array([0.0, 0.15, 0.34]))
     linked_value = three.value()
-    assert three.reached()
+    assert three.overlapping()
     assert abs(linked_value + 0.05 + 0.01) < 1e-6
     scene.place(np.array([0.0, 0.15, 0.5]))
-    assert not three.reached()
+    assert not three.overlapping()
     assert three.value() > linked_value
 
 

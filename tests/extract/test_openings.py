@@ -13,7 +13,7 @@ import pytest
 from hand.robots import PALM, Robot, box
 
 from rtee.actions.library import ActionLibrary
-from rtee.actions.openings import Opening, Openings, read_openings, to_document, write_openings
+from rtee.actions.openings import Openings, OpeningTable, read_openings, to_document, write_openings
 from rtee.actions.types import ActionReference, Composed, Generic, Posture, Timed
 from rtee.errors import ActionError, ConfigError
 from rtee.extract.openings import make_openings, opening_of
@@ -82,7 +82,7 @@ def test_three_tips_around_a_middle_open_by_the_diameter_between_them() -> None:
     assert opening.narrowest == pytest.approx(0.0346 - 0.0135, abs=2e-3)
 
 
-def meeting(tip: Sequence[str], tmp_path: Path, *, knuckles: bool) -> Opening:
+def meeting(tip: Sequence[str], tmp_path: Path, *, knuckles: bool) -> OpeningTable:
     """Return the opening of two fingers that lean outwards; ``knuckles``: of two joints each."""
     tmp_path.mkdir(exist_ok=True)
     robot = Robot("two").link("base", PALM)

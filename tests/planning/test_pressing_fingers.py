@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rtee.actions.library import ActionLibrary, load_actions
-from rtee.actions.openings import Opening
+from rtee.actions.openings import OpeningTable
 from rtee.hand.model import Hand
 from rtee.objects.shape import Table
 from rtee.planning.closing import ActionPath, Closure
@@ -35,7 +35,7 @@ class Fingers:
     """Thumb, index and middle finger, which close together, and where each was stopped."""
 
     hand: Hand
-    opening: Opening
+    opening: OpeningTable
     search: Search
 
     def closed(self, **stopped: float) -> Closure:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtee.planning.result import Contact
-from rtee.planning.springs import Pressing, pressing, scaled, sunk
+from rtee.planning.springs import PressingForces, pressing, scaled, sunk
 from rtee.planning.wrench import wrenches
 from rtee.sample import FloatArray
 
@@ -37,7 +37,7 @@ def maps() -> FloatArray:
 
 def pressed(
     contacts: list[Contact], maps: FloatArray, *way: float, friction: float = 0.5
-) -> Pressing:
+) -> PressingForces:
     found = wrenches(contacts, friction, np.zeros(3), WIDTH)
     return pressing(found, maps, np.full(6, SPRING), np.array(way))
 
@@ -92,7 +92,7 @@ def test_tips_that_press_too_hard_tilt_the_object(
 
 
 def test_a_single_contact_does_not_hold(contacts: list[Contact], maps: FloatArray) -> None:
-    alone = Pressing(1.0, np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.array([1.0, 0.0]))
+    alone = PressingForces(1.0, np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.array([1.0, 0.0]))
     arms = np.array([contact.point for contact in contacts])
     normals = np.array([contact.normal for contact in contacts])
     assert sunk(alone, maps, np.full(6, SPRING), arms, normals, 1.0) == math.inf

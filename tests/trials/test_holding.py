@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtee.sample import FloatArray
-from rtee.trials.holding import TURN, said_lost, turned
+from rtee.trials.holding import TURN, reports_loss, turned
 from rtee.types import Event, Result
 
 
@@ -41,5 +41,5 @@ def test_a_hand_has_lost_an_object_when_all_fingers_have() -> None:
     result = Result("1", "Grasp", grasped=True, grasped_fingers=("index", "thumb"))
     one = Event("grasp_lost", "thumb", "", 0.0, "warning")
     other = Event("grasp_lost", "index, middle", "", 0.1, "warning")
-    assert not said_lost(result, [one, Event("contact", "index", "", 0.0)])
-    assert said_lost(result, [one, other])
+    assert not reports_loss(result, [one, Event("contact", "index", "", 0.0)])
+    assert reports_loss(result, [one, other])

@@ -315,7 +315,7 @@ class AbilityHandDriver(Driver):
         """Send the set-points of all motors and keep the reply for `sense`."""
         await self._check()
         # One command sets all motors, and their present set-points cannot be read.
-        if self.attached.all_left(reference, self._here):
+        if self.attached.all_holding(reference, self._here):
             return
         mask = reference.mask.tolist()
         for i, (motor, sign) in enumerate(zip(self._motors, self._signs, strict=True)):

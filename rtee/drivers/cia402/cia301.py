@@ -86,8 +86,8 @@ class Emergency(Packed):
         return CanFrame(EMERGENCY + node, self.to_bytes())
 
 
-class Abort(IntEnum):
-    """Abort codes: reasons why a node refuses an SDO transfer."""
+class AbortCode(IntEnum):
+    """AbortCode codes: reasons why a node refuses an SDO transfer."""
 
     UNSUPPORTED = 0x0601_0000
     READ_ONLY = 0x0601_0002

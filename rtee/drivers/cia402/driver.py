@@ -301,7 +301,7 @@ class Cia402Driver(Driver):
         left: Collection[int] = ()
         if self.attached:
             here = [d.scale.to_position(d.position) for d in cycle.drives]
-            left = self.attached.left(reference, np.array(here))
+            left = self.attached.holding(reference, np.array(here))
         for i, drive in enumerate(cycle.drives):
             if reference.mask[i]:
                 drive.send_limits(self._limits(i, drive, reference))

@@ -13,7 +13,7 @@ from typing import Literal
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.axis import Axis
 from rtee.drivers.cia402 import cia301, codec
-from rtee.drivers.cia402.cia301 import Abort, Emergency, NmtState
+from rtee.drivers.cia402.cia301 import AbortCode, Emergency, NmtState
 from rtee.drivers.cia402.codec import Object
 from rtee.drivers.cia402.node import EmulatedNode, ObjectEntry
 from rtee.drivers.options import Positive
@@ -140,7 +140,7 @@ class Drive:
         node.add(Object.ERROR_REGISTER, 0, "B", 0, writable=False)
         node.objects[Object.DEVICE_NAME, 0] = ObjectEntry(made.name.encode(), writable=False)
         node.add(Object.CONSUMER_HEARTBEAT, 0, "B", 1, writable=False)
-        node.add(Object.CONSUMER_HEARTBEAT, 1, "I", 0, changed=node.watch_anew)
+        node.add(Object.CONSUMER_HEARTBEAT, 1, "I", 0, changed=node.restart_watch)
         node.add(Object.PRODUCER_HEARTBEAT, 0, "H", 0)
         node.add(Object.IDENTITY, 0, "B", 4, writable=False)
         for subindex, value in enumerate((_VENDOR, made.product, 1, 4711), start=1):
@@ -203,15 +203,15 @@ class Drive:
 
     # --- state machine -----------------------------------------------------------------------
 
-    def _mode_set(self, value: int) -> Abort | None:
+    def _mode_set(self, value: int) -> AbortCode | None:
         if value and value not in self.properties.modes:
-            return Abort.RANGE
+            return AbortCode.RANGE
         if value != self.node.get(Object.MODE_DISPLAY):
             self._stay()
         self.node.set(Object.MODE_DISPLAY, value)
         return None
 
-    def _controlled(self, word: int) -> Abort | None:
+    def _controlled(self, word: int) -> AbortCode | None:
         before, self._control = self._control, word
         if self.state is codec.State.FAULT:
             # Only the rising edge resets a fault (CiA 402-2).
@@ -286,7 +286,7 @@ class Drive:
         if not self._homing_error:
             fast, slow = (float(max(1, self.node.get(Object.HOMING_SPEEDS, n))) for n in (1, 2))
             switches = sorted(self.properties.switches)
-            self._legs = way_home(
+            self._legs = homing_legs(
                 method,
                 self.axis.position,
                 negative=HomingLeg(max(self.axis.lower, switches[0]), fast),
@@ -394,7 +394,7 @@ class Drive:
         node.set(Object.CURRENT, round(axis.effort))
 
 
-def way_home(
+def homing_legs(
     method: int, here: float, *, negative: HomingLeg, positive: HomingLeg, turn: int, slow: float
 ) -> list[HomingLeg]:
     """Return the legs of one of the homing `METHODS`; the last one ends at home.

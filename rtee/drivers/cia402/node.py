@@ -31,7 +31,7 @@ class ObjectEntry:
 
     value: bytes
     writable: bool = True
-    changed: Callable[[int], cia301.Abort | None] | None = None
+    changed: Callable[[int], cia301.AbortCode | None] | None = None
 
 
 class _SdoServer(SdoServer):
@@ -109,26 +109,26 @@ class EmulatedNode:
                 for slot in range(1, 9):
                     self.add(mapping, slot, "I", 0, changed=self._while_empty(mapping))
 
-    def _check_map(self, index: int) -> Callable[[int], cia301.Abort | None]:
-        def check(count: int) -> cia301.Abort | None:
+    def _check_map(self, index: int) -> Callable[[int], cia301.AbortCode | None]:
+        def check(count: int) -> cia301.AbortCode | None:
             size = 0
             for slot in range(1, count + 1):
                 mapped = self.get(index, slot)
                 if (mapped >> 16, mapped >> 8 & 0xFF) not in self.objects:
-                    return cia301.Abort.NOT_MAPPABLE
+                    return cia301.AbortCode.NOT_MAPPABLE
                 size += mapped & 0xFF
-            return cia301.Abort.PDO_LENGTH if size > 8 * cia301.FULL else None
+            return cia301.AbortCode.PDO_LENGTH if size > 8 * cia301.FULL else None
 
         return check
 
-    def _while_empty(self, index: int) -> Callable[[int], cia301.Abort | None]:
-        def check(mapped: int) -> cia301.Abort | None:
+    def _while_empty(self, index: int) -> Callable[[int], cia301.AbortCode | None]:
+        def check(mapped: int) -> cia301.AbortCode | None:
             # An active mapping must not change: it was checked with its count (CiA 301, 7.5.2.36).
-            return cia301.Abort.UNSUPPORTED if self.get(index, 0) else None
+            return cia301.AbortCode.UNSUPPORTED if self.get(index, 0) else None
 
         return check
 
-    def watch_anew(self, value: int) -> cia301.Abort | None:
+    def restart_watch(self, value: int) -> cia301.AbortCode | None:
         """Watch the host from its next heartbeat on; called when a host configures the watch."""
         self._host_at = None
         return None
@@ -206,9 +206,9 @@ class EmulatedNode:
         """Set a value for the SDO server; raises `SdoAbortedError`."""
         entry = self._entry(index, subindex)
         if not entry.writable:
-            raise canopen.SdoAbortedError(cia301.Abort.READ_ONLY)
+            raise canopen.SdoAbortedError(cia301.AbortCode.READ_ONLY)
         if len(data) != len(entry.value):
-            raise canopen.SdoAbortedError(cia301.Abort.LENGTH)
+            raise canopen.SdoAbortedError(cia301.AbortCode.LENGTH)
         before, entry.value = entry.value, bytes(data)
         refused = entry.changed(int.from_bytes(data, "little")) if entry.changed else None
         if refused is not None:
@@ -219,7 +219,9 @@ class EmulatedNode:
         if (index, subindex) in self.objects:
             return self.objects[index, subindex]
         known = any(index == known for known, _ in self.objects)
-        raise canopen.SdoAbortedError(cia301.Abort.NO_SUBINDEX if known else cia301.Abort.NO_OBJECT)
+        raise canopen.SdoAbortedError(
+            cia301.AbortCode.NO_SUBINDEX if known else cia301.AbortCode.NO_OBJECT
+        )
 
     # --- PDO -----------------------------------------------------------------------------------
 

@@ -298,7 +298,7 @@ class Joints:
             matrix[np.ix_((i, j), (i, j))] = block
         return matrix
 
-    def gave_way(self, positions: FloatArray, angles: FloatArray) -> tuple[str, ...]:
+    def limit_warnings(self, positions: FloatArray, angles: FloatArray) -> tuple[str, ...]:
         """Return a warning for each tilt that the servos' limit has reduced."""
         reached = self.positions(angles)
         return tuple(

@@ -370,7 +370,7 @@ class InspireRh56Driver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Write force limits and speeds that have changed, then the angles."""
-        left = self.attached.left(reference, self._here) if self.attached else ()
+        left = self.attached.holding(reference, self._here) if self.attached else ()
         most = self.options.most
         # A table sets all six motors, so motors without a reference get their present values.
         forces = list(self._forces or (most,) * codec.COUNT)

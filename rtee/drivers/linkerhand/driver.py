@@ -300,7 +300,7 @@ class LinkerHandDriver(Driver):
     async def move(self, reference: Reference) -> None:
         """Write the set-points, and the limits if they have changed."""
         # One frame sets all motors, and the present set-points of the others cannot be read.
-        if self.attached.all_left(reference, self._here):
+        if self.attached.all_holding(reference, self._here):
             return
         full = [codec.MOST] * self._model.count
         targets = list(self._sent.get(Table.POSITION, self._counts))

@@ -124,7 +124,7 @@ class Surroundings:
 
         Also let the arm yield to forces on the hand.
         """
-        self._give_way()
+        self._yield_to_force()
         elapsed, self._last = time - self._last, time
         if self.unsupported or self._support == "floating":
             return
@@ -132,7 +132,7 @@ class Surroundings:
         if self._touched >= _CONFIRM:
             self.remove_support()
 
-    def _give_way(self) -> None:
+    def _yield_to_force(self) -> None:
         """Let the carrier's set-points yield to a force that is too large, and return after it."""
         # The forces of contacts along the axes; forces inside the hand cancel out.
         forces = self._pushing.take(self._dofs).tolist()

@@ -135,9 +135,9 @@ class Fingers:
         the virtual work of a motor of constant torque on the lever, which behaves like that.
         """
         angle = max(self.angle(raw_diameter), _LOWEST)
-        return min(1.0, self._way(_LOWEST) / max(self._way(angle), 1e-9))
+        return min(1.0, self._radius_slope(_LOWEST) / max(self._radius_slope(angle), 1e-9))
 
-    def _way(self, angle: float) -> float:
+    def _radius_slope(self, angle: float) -> float:
         """Return the decrease of the radius per angle of the pivots [m/rad]."""
         radius = self.raw_diameter(angle) / 2.0
         return _PIVOT * self.lever * math.sin(angle) / max(radius, 1e-9)

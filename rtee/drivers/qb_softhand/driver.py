@@ -322,7 +322,7 @@ class QbSoftHandDriver(Driver):
     async def move(self, reference: Reference) -> None:
         """Send the references of the motors; the hand does not answer."""
         # One frame commands both motors.
-        if self.attached.all_left(reference, self._here):
+        if self.attached.all_holding(reference, self._here):
             return
         wanted, mask = reference.position.tolist(), reference.mask.tolist()
         if not all(mask):

@@ -446,7 +446,7 @@ class SchunkEguDriver(Driver):
             await self._go(here, target, force, float(reference.max_velocity[0]), held)
 
     async def _go(self, here: float, target: float, force: int, speed: float, held: bool) -> None:
-        if self._way(here, target) > _REACHED or (held and here == target):
+        if self._closing_travel(here, target) > _REACHED or (held and here == target):
             await self._command(codec.Control.GRIP, force=force)
             self._follower.sent()
             await self._watch(target)
@@ -469,7 +469,7 @@ class SchunkEguDriver(Driver):
         end = self._cycle_began + _SHARE * self._period
         later = self._cycle_began + self._period + self._timer.reading  # the next cycle's stop
         while self._running:
-            left = self._way(float(self._input.position), target)
+            left = self._closing_travel(float(self._input.position), target)
             if left <= _REACHED:
                 await self._halt()
                 return
@@ -509,7 +509,7 @@ class SchunkEguDriver(Driver):
         rate = self.spec.rate
         return (self.spec.every or math.ceil(rate / self.capabilities.best_rate)) / rate
 
-    def _way(self, here: float, target: float) -> float:
+    def _closing_travel(self, here: float, target: float) -> float:
         """Return the closing travel from a position to a target [µm], negative if it opens."""
         return target - here if self.options.opens == "down" else here - target
 
@@ -522,7 +522,7 @@ class SchunkEguDriver(Driver):
         # Before the write: if only the answer is lost, the command has begun.
         self._gripping = control is codec.Control.GRIP
         self._running = True
-        self._timer.begin(self._way(0.0, float(self._input.position)))
+        self._timer.begin(self._closing_travel(0.0, float(self._input.position)))
         self._asked = bool(self._input.status & codec.Status.RECEIVED), monotonic.now()
         await self._write(codec.Output(codec.Control.RUN | control, position, speed, force))
 
@@ -588,7 +588,7 @@ class SchunkEguDriver(Driver):
         if self._asked is None and now.status & codec.RESULTS:
             self._running = False
         if self._asked is None and self._gripping:
-            self._timer.see(self._way(0.0, float(now.position)), asked, answered)
+            self._timer.see(self._closing_travel(0.0, float(now.position)), asked, answered)
         return now
 
     async def _write(self, output: codec.Output) -> None:

@@ -308,7 +308,7 @@ class SchunkSvhDriver(Driver):
         """Send changed limits, then the targets of all channels; keep the reply for `sense`."""
         # One packet sets the targets of all channels, and the present ones cannot be read. The
         # limits are not changed either: a smaller current would loosen the grip.
-        if self.attached.all_left(reference, self._here):
+        if self.attached.all_holding(reference, self._here):
             return
         waiting: Collection[int] = ()
         if not self._limits.settled(reference):

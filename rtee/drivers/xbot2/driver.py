@@ -260,7 +260,7 @@ class XBot2Driver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Send position references, or efforts with ``control: effort``."""
-        left = self.attached.left(reference, self._here()) if self.attached else ()
+        left = self.attached.holding(reference, self._here()) if self.attached else ()
         chosen = [i for i in range(len(self._names)) if reference.mask[i] and i not in left]
         if not chosen:
             return

@@ -13,7 +13,7 @@ from rtee.buses.emulator import CanFrame
 from rtee.buses.parser import CodecError
 from rtee.drivers.cia402 import cia301, codec
 from rtee.drivers.cia402.cia301 import (
-    Abort,
+    AbortCode,
     Emergency,
     NmtCommand,
     NmtState,
@@ -53,7 +53,7 @@ def test_frames_are_those_of_the_sheet() -> None:
         ("2F606000 01000000", Sdo(0x2F, 0x6060, 0, b"\x01\0\0\0")),
         ("237A6000 E8030000", Sdo(0x23, 0x607A, 0, b"\xe8\x03\0\0")),
         ("40996001 00000000", Sdo.upload(0x6099, 1)),
-        ("80996001 00000206", Sdo(0x80, 0x6099, 1, struct.pack("<I", Abort.NO_OBJECT))),
+        ("80996001 00000206", Sdo(0x80, 0x6099, 1, struct.pack("<I", AbortCode.NO_OBJECT))),
     ],
 )
 def test_sdo_frames_are_those_of_the_sheet(sheet: str, sdo: Sdo) -> None:

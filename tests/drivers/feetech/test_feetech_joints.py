@@ -161,7 +161,7 @@ def test_every_corner_of_its_limits_can_be_reached(amazing: DeviceSpec) -> None:
                 ]
             )
             angles = joints.servos(pose)
-            assert joints.gave_way(pose, angles) == ()
+            assert joints.limit_warnings(pose, angles) == ()
             assert joints.positions(angles) == pytest.approx(pose, abs=1e-9)
 
 
