@@ -80,19 +80,17 @@ class ServoLink(ABC):
     async def set_values(self, register: Any, values: Mapping[int, int]) -> None:
         """Set a register of several servos, which do not answer."""
 
-    async def set_all(
-        self, register: Any, values: Mapping[int, int], within: int = 0
-    ) -> dict[int, int]:
+    async def set_all(self, register: Any, values: Mapping[int, int]) -> dict[int, int]:
         """Set a register of several servos, read it back, and repeat for those without the value.
 
-        Servos do not answer a write to several of them, so the value read back decides; it may
-        differ by ``within``. Returns the values of the servos that have kept others, by id.
+        Servos do not answer a write to several of them, so the value read back decides.
+        Returns the values of the servos that have kept others, by id.
         """
         left, kept = dict(values), dict[int, int]()
         for _ in range(_ATTEMPTS if left else 0):
             await self.set_values(register, left)
             there = await self.values(register, list(left))
-            kept = {n: has for n, has in there.items() if abs(has - left[n]) > within}
+            kept = {n: has for n, has in there.items() if has != left[n]}
             left = {number: left[number] for number in kept}
             if not left:
                 break

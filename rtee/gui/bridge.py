@@ -105,7 +105,7 @@ class Bridge:
             else:
                 control.disabled = True
 
-    def notify(self, title: str, text: str, colour: Any = "blue") -> None:
+    def notify(self, title: str, text: str, colour: Any) -> None:
         """Show a notification."""
         stage = self.stage
         windows = [stage] if isinstance(stage, viser.ClientHandle) else stage.get_clients().values()

@@ -131,11 +131,11 @@ def arrows_of(rows: FloatArray, size: float) -> FloatArray:
     return np.stack([points, points + size * force_arrows(rows[:, 3:6])], axis=1)
 
 
-def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
+def strongest(rows: FloatArray, links: Sequence[str]) -> str:
     """Return the strongest contacts as text: ``index_tip 3.2 N, thumb_tip 3.1 N``.
 
     The contacts are rows of `rtee.objects.description.CONTACTS`, the links in the order of the
-    URDF. The text names at most ``most`` links.
+    URDF. The text names at most three links.
     """
     totals: dict[str, FloatArray] = {}
     for row in rows:
@@ -143,7 +143,7 @@ def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
         if 0 <= index < len(links):
             totals[links[index]] = totals.get(links[index], np.zeros(3)) + row[3:6]
     forces = {name: float(np.linalg.norm(force)) for name, force in totals.items()}
-    chosen = sorted(forces, key=lambda name: -forces[name])[:most]
+    chosen = sorted(forces, key=lambda name: -forces[name])[:3]
     return ", ".join(f"{name} {forces[name]:.1f} N" for name in chosen)
 
 

@@ -148,7 +148,7 @@ def fingers_of(srdf: Srdf, urdf: Urdf) -> tuple[Chain, ...]:
     """
     chosen = _group_of_fingers(srdf)
     if chosen is None:
-        chains = [_chain(srdf, each, urdf, "chain") for each in srdf.groups.values()]
+        chains = [_chain(each, urdf, "chain") for each in srdf.groups.values()]
         found = [chain for chain in chains if chain is not None]
         carried = {link for chain in found for link in urdf.links_to(chain.links[0])}
         return tuple(chain for chain in found if chain.links[-1] not in carried)
@@ -158,13 +158,13 @@ def fingers_of(srdf: Srdf, urdf: Urdf) -> tuple[Chain, ...]:
         others = [g for g in srdf.groups.values() if g is not group]
         return tuple(
             chain
-            for chain in (_chain(srdf, other, urdf, "chain") for other in others)
+            for chain in (_chain(other, urdf, "chain") for other in others)
             if chain is not None
             and {urdf.joint_to[link].name for link in chain.links[1:]} <= inside
         )
     fingers = []
     for member in _members(srdf, group, (), set()):
-        chain = _chain(srdf, member, urdf, why)
+        chain = _chain(member, urdf, why)
         if chain is None:
             raise ModelError(
                 f"group '{member.name}' is in the group of fingers '{group.name}' but is not "
@@ -242,7 +242,7 @@ def _members(
             yield member
 
 
-def _chain(srdf: Srdf, group: SrdfGroup, urdf: Urdf, why: str) -> Chain | None:
+def _chain(group: SrdfGroup, urdf: Urdf, why: str) -> Chain | None:
     """Return the chain of a group, or ``None`` if the group is not a single chain."""
     if _is_chain(group):
         links = urdf.chain(group.chains[0].base, group.chains[0].tip)

@@ -590,7 +590,7 @@ class Controller:
             self._set_efforts()
         self._ease_off(stamp, measured)
         if self._settling:
-            self._settle(stamp, measured)
+            self._settle(stamp)
         if stream is None:
             self._profile.advance()
             wanted = self._profile.position
@@ -599,7 +599,7 @@ class Controller:
         if limiter.apply(wanted):
             self._report_limited(stamp)
 
-    def _settle(self, stamp: float, measured: Measured) -> None:
+    def _settle(self, stamp: float) -> None:
         profile = self._profile
         for i, due in list(self._settling.items()):
             if profile.velocity[i] != 0.0:

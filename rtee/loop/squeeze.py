@@ -201,7 +201,7 @@ class Squeeze:
         self._judge(stamp, measured)
         self._correcting = self.grip is not None and self._corrects(stamp, measured)
         if self.grip is not None and self._correcting:
-            corrected = self._correct(self.grip, stamp, measured)
+            corrected = self._correct(stamp, measured)
             self._settled, self._ease = stamp + _SETTLE, stamp + _EASE_EVERY
             return corrected
         if not self.answers_slips:
@@ -268,7 +268,7 @@ class Squeeze:
         now = 0.0 if self.answers_slips else math.inf
         return not rules.force_rests(share, now, 0.0)
 
-    def _correct(self, grip: Grip, stamp: float, measured: Measured) -> bool:
+    def _correct(self, stamp: float, measured: Measured) -> bool:
         """Bring the force that sensors measure to the requested one; return whether it changed.
 
         Adaptive fingers bend, and touch elsewhere than the levers assume. Without sensors at the

@@ -108,9 +108,7 @@ class Ground:
         edge: Whether the object stands out over the table's edge.
     """
 
-    def __init__(
-        self, scene: GraspScene, table: Table, weight_axis: FloatArray, *, edge: bool = False
-    ) -> None:
+    def __init__(self, scene: GraspScene, table: Table, weight_axis: FloatArray) -> None:
         """Set up the table for a hand and an object.
 
         Args:
@@ -118,9 +116,8 @@ class Ground:
             table: The table.
             weight_axis: Direction of the weight ``(3,)`` in the base frame, unless the table gives
                 it.
-            edge: Whether the object stands out over the table's edge.
         """
-        self._scene, self._table, self._axis, self.edge = scene, table, weight_axis, edge
+        self._scene, self._table, self._axis, self.edge = scene, table, weight_axis, False
         up = None if table.up is None else np.array(table.up)
         self.up: FloatArray | None = None if up is None else up / np.linalg.norm(up)
         points = [shape.points for shape in scene.geometry.shapes]

@@ -27,14 +27,14 @@ class Fingertips:
         fingers: The fingers that have a tip with a shape.
     """
 
-    def __init__(self, hand: Hand, geometry: HandGeometry | None = None) -> None:
+    def __init__(self, hand: Hand) -> None:
         """Read the geometry.
 
         Raises:
             ModelError: if a mesh of the hand is missing or cannot be read.
         """
         self.hand = hand
-        self.geometry = geometry or HandGeometry(hand)
+        self.geometry = HandGeometry(hand)
         self._shapes: dict[str, list[Shape]] = {}
         for finger in hand.fingers:
             found = [self.geometry.shapes[i] for i in self.geometry.of_links(*finger.tip_links)]

@@ -70,9 +70,9 @@ class HeldObject(StrEnum):
     UNKNOWN = "not known"
 
 
-def clock(seconds: float | None = None) -> str:
-    """Return a time of day in this computer's zone; by default, now."""
-    return time.strftime("%H:%M:%S", time.localtime(seconds))
+def clock() -> str:
+    """Return the time of day in this computer's zone."""
+    return time.strftime("%H:%M:%S")
 
 
 class Truth:

@@ -78,8 +78,8 @@ class Layout:
         return self._mean @ found
 
 
-def _picked(name: str, order: Sequence[int], count: int, unit: float = 1.0) -> Layout:
-    return Layout(name, tuple((i,) for i in order), count, unit)
+def _picked(name: str, order: Sequence[int], count: int) -> Layout:
+    return Layout(name, tuple((i,) for i in order), count)
 
 
 _WITHOUT_METACARPALS: Final = (0, 1, 2, 3, 4, *(i for i in range(5, 25) if i % 5 != 0))

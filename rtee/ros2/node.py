@@ -156,14 +156,14 @@ class Node:
         kind = self._service(type_)
         return self._add(Service, Kind.SERVICE, name, kind, qos, handler, at_once)
 
-    def client(self, name: str, type_: str | ServiceType, qos: Qos = DEFAULT) -> Client:
+    def client(self, name: str, type_: str | ServiceType) -> Client:
         """Return a new client of a service.
 
         Raises:
             ConfigError: if ROS 2 would refuse the name.
             MessageError: if there is no such type.
         """
-        return self._add(Client, Kind.CLIENT, name, self._service(type_), qos)
+        return self._add(Client, Kind.CLIENT, name, self._service(type_), DEFAULT)
 
     def discard(self, made: _Closable) -> None:
         """Close a publisher, subscription, service or client of this node."""

@@ -137,8 +137,7 @@ class HeriEthercatEmulator(Emulator, Grasps):
     def closings(self) -> Sequence[Closing]:
         """Return the closing motions of all motors."""
         made = self.properties
-        motors = [motor for board in self.boards for motor in board.motors]
-        return [Closing(motor, 0.0, made.upper, made.current) for motor in motors]
+        return [Closing(axis, 0.0, made.upper, made.current) for axis in self.axes]
 
     # --- requests of a master ------------------------------------------------------------------
 
