@@ -14,6 +14,7 @@ from rtee.actions.types import (
     FARTHEST_CLEARANCE,
     Action,
     ActionKind,
+    ActionReference,
     Posture,
     Primitive,
     PrimitiveKind,
@@ -27,6 +28,12 @@ def clearance_text(clearance: float) -> str:
     """Return a clearance [m] as text."""
     text = f"{clearance * 1e3:.1f} mm"
     return f"{text} or more" if clearance >= FARTHEST_CLEARANCE else text
+
+
+def described(use: ActionReference) -> str:
+    """Return a reference to an action as text, such as ``Trig thumb × 0.3``."""
+    name = " ".join((use.action, *use.elements))
+    return name if use.scale == 1.0 else f"{name} × {use.scale:g}"
 
 
 def deeper_text(primitive: Primitive) -> str:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from rtee.cli._common import Hand, JsonOption, actions_of
+from rtee.cli._common import Hand, JsonOption, actions_of, to_json
 from rtee.cli._table import Column, Row, WideOption, on_terminal, prefix_to_drop, table_of
 
 if TYPE_CHECKING:
@@ -26,7 +25,7 @@ def actions(hand: Hand, wide: WideOption = False, as_json: JsonOption = False) -
     library = actions_of(hand)
     if as_json:
         seconds = time.perf_counter() - begun
-        print(json.dumps(describe(library.hand, library, seconds), indent=2))
+        print(to_json(describe(library.hand, library, seconds), indent=2))
         return
     _show(library.hand, list(library))
 

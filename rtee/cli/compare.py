@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from rtee import monotonic
-from rtee.cli._common import JsonOption, complete_hand
+from rtee.cli._common import JsonOption, complete_hand, to_json
 from rtee.cli._sweep import (
     ClusterOption,
     JobsOption,
@@ -104,7 +103,7 @@ def compare(
             keep()
             write_at = monotonic.now() + _EVERY
     if json_:
-        print(json.dumps({**found.document(), "page": str(page)}, indent=2))
+        print(to_json({**found.document(), "page": str(page)}, indent=2))
     else:
         _show(found)
         print(f"{found.sentence()}\nthe page: {page}")

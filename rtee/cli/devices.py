@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import sys
 from collections.abc import Coroutine, Mapping, Sequence
@@ -23,6 +22,7 @@ from rtee.cli._common import (
     complete_hand,
     hand_folder,
     owned,
+    to_json,
     with_hand,
 )
 from rtee.drivers.diagnosis.checks import Verdict, ok, wrong
@@ -157,7 +157,7 @@ def doctor(
 
     results = _finished(execute(), simulated=emulated and not ros2)
     if as_json:
-        print(json.dumps({k: [asdict(c) for c in v] for k, v in results.items()}, indent=2))
+        print(to_json({k: [asdict(c) for c in v] for k, v in results.items()}, indent=2))
     else:
         for name, checks in results.items():
             _print(name, checks)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import json
 import os
 import sys
 from collections.abc import Iterator
@@ -25,6 +24,7 @@ from rtee.cli._common import (
     complete_hand,
     hand_folder,
     owned,
+    to_json,
 )
 from rtee.cli._table import Column, Row, WideOption, on_terminal, prefix_to_drop, table_of
 from rtee.cli.new import OutsideOption, RootOption, subtree_of
@@ -143,7 +143,7 @@ def extract(
     if as_json:
         from rtee.actions.describe import describe
 
-        print(json.dumps(describe(model, extraction.primitives, extraction.seconds), indent=2))
+        print(to_json(describe(model, extraction.primitives, extraction.seconds), indent=2))
     else:
         _show(model, extraction)
     notes = [f"note: {note}" for note in (*model.notes, *extraction.notes)]

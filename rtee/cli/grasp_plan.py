@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from typing import TYPE_CHECKING
 
 import typer
 
-from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder
+from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, to_json
 from rtee.cli._sweep import meshes_in
 from rtee.cli._table import Column, table_of
 from rtee.cli.define import Replace
@@ -90,7 +89,7 @@ def grasp_plan(
         except UserError as error:
             documents.append({"hand": library.hand.name, "object": text, "error": str(error)})
             if json_ and not several:
-                print(json.dumps(documents[0], indent=2))
+                print(to_json(documents[0], indent=2))
             if not several:
                 raise
             held = False
@@ -108,7 +107,7 @@ def grasp_plan(
         first = ranking.plans[0] if ranking.plans else None
         held &= first is not None and (first.check is None or first.check.held)
     if json_:
-        print(json.dumps(documents if several else documents[0], indent=2))
+        print(to_json(documents if several else documents[0], indent=2))
     if not held:
         raise typer.Exit(1)
     if save is not None:

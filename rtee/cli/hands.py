@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
-from rtee.cli._common import JsonOption
+from rtee.cli._common import JsonOption, to_json
 from rtee.cli._fleet import ConnectOptions, WatchOption, show_fleet
 from rtee.cli._table import Column, table_of
 from rtee.errors import RteeError
@@ -31,7 +30,7 @@ def hands(
         return
     rows = [_row(name, folder) for name, folder in all_hands().items()]
     if as_json:
-        print(json.dumps({"hands": rows}, indent=2))
+        print(to_json({"hands": rows}, indent=2))
         return
     _print(rows)
 

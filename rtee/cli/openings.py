@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned
+from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned, to_json
 from rtee.cli._table import Column, table_of
 from rtee.errors import ActionError, needing_extra
 from rtee.hand.own_copy import own_place
@@ -38,9 +38,7 @@ def openings(
     library = actions_of(hand)
     valid, notes = current(library)
     if as_json:
-        import json
-
-        print(json.dumps(_document(library, valid)))
+        print(to_json(_document(library, valid)))
     else:
         _show(library, valid)
     if not valid and not notes:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned
+from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned, to_json
 from rtee.cli._table import Column, table_of
 from rtee.errors import ConfigError, needing_extra
 from rtee.hand.own_copy import own_place
@@ -58,11 +58,9 @@ def retarget(
         path = write_correspondence(owned(folder), library.hand, found)
         print(f"written to {path}", file=sys.stderr)
     if as_json:
-        import json
-
         from msgspec import to_builtins
 
-        print(json.dumps({"hand": library.hand.name, **to_builtins(found)}))
+        print(to_json({"hand": library.hand.name, **to_builtins(found)}))
     else:
         _show(library.hand, found)
     if show:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import typer
 
-from rtee.cli._common import JsonOption
+from rtee.cli._common import JsonOption, to_json
 
 if TYPE_CHECKING:
     from rtee.drivers.diagnosis.scan import Address, ScanPlan
@@ -62,7 +61,7 @@ def scan(
     # Erase the last line of progress.
     report("")
     if as_json:
-        print(json.dumps({"addresses": [asdict(address) for address in results]}, indent=2))
+        print(to_json({"addresses": [asdict(address) for address in results]}, indent=2))
     else:
         _print(results)
     raise typer.Exit(1 if any(address.problem for address in results) else 0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections import Counter
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from rtee.cli._common import FrictionOption, complete_hand, owned
+from rtee.cli._common import FrictionOption, complete_hand, owned, to_json
 from rtee.cli._sweep import (
     ClusterOption,
     JobsOption,
@@ -293,10 +292,11 @@ class _Words:
 
 def _show(results: Sequence[TrialResult], as_json: bool) -> None:
     from rtee.trials.store import to_document
+    from rtee.trials.variation import rate_text
 
     if as_json:
         documents = [to_document(result) for result in results]
-        print(json.dumps(documents if len(documents) != 1 else documents[0], indent=2))
+        print(to_json(documents if len(documents) != 1 else documents[0], indent=2))
         return
     if len(results) > 3:
         _table(results)
@@ -309,18 +309,8 @@ def _show(results: Sequence[TrialResult], as_json: bool) -> None:
             continue
         forces = ", ".join(f"{name} {force:.1f} N" for name, force in result.forces if force > 0)
         slip = f"slip {result.slip * 1e3:.1f} mm"
-        print(f"{title}: held; {slip}; {forces or 'no finger touches'}{_rate(result)}")
-
-
-def _rate(result: TrialResult) -> str:
-    """Return in how many variations an object was held, as text; ``""`` without variations."""
-    from rtee.trials.variation import interval_text
-
-    tries = result.tries
-    if tries == 0:
-        return ""
-    likely = interval_text(result.survived, tries)
-    return f"; with variations {result.survived} of {tries} (95 % confidence: {likely})"
+        parts = ("held", slip, forces or "no finger touches", rate_text(result))
+        print(f"{title}: {'; '.join(filter(None, parts))}")
 
 
 def _table(results: Sequence[TrialResult]) -> None:
@@ -402,7 +392,7 @@ def try_tasks(
             # At once, since a task takes long and the next ones may be interrupted.
             print(_sentence(trial, results), flush=True)
     if as_json:
-        print(json.dumps(documents, indent=2))
+        print(to_json(documents, indent=2))
 
 
 def _trials(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from rtee.actions.describe import abduction_sentence, clearance_text, deeper_text
+from rtee.actions.describe import abduction_sentence, clearance_text, deeper_text, described
 from rtee.actions.types import (
     Action,
     ActionKind,
@@ -259,11 +259,7 @@ def _custom(hand: Hand, actions: Iterable[Action]) -> dict[str, list[_Plan]]:
 def _summary(action: CustomAction) -> str:
     if action.description or not action.uses:
         return action.description
-    parts = (
-        " ".join([use.action, *use.elements]) + (f" × {use.scale:g}" if use.scale != 1 else "")
-        for use in action.uses
-    )
-    return " + ".join(parts)
+    return " + ".join(map(described, action.uses))
 
 
 def _timed(hand: Hand, action: Timed) -> _Plan:

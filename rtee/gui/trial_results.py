@@ -10,7 +10,7 @@ from pathlib import Path
 from rtee.actions.types import Action
 from rtee.trials.result import TrialResult
 from rtee.trials.store import FILE_NAME, outdated, parse_results
-from rtee.trials.variation import interval_text
+from rtee.trials.variation import rate_text
 
 Key = tuple[str, tuple[str, ...]]
 """Name and elements of an action."""
@@ -60,24 +60,11 @@ def object_name(text: str) -> str:
     return text.rpartition("/")[2]
 
 
-def rate(result: TrialResult) -> str:
-    """Return the rate of variations held, such as ``18 of 20 variations (95 %: 70 to 97 %)``.
-
-    Return an empty string if there were no variations, or the trial itself failed.
-    """
-    tries = result.tries
-    if not (tries and result.held):
-        return ""
-    return (
-        f"{result.survived} of {tries} variations (95 %: {interval_text(result.survived, tries)})"
-    )
-
-
 def verdict(result: TrialResult) -> str:
     """Return the outcome of a trial as text: held, with the rate of variations, or the reason."""
     if not result.held:
         return result.reason or "lost"
-    return ", ".join(filter(None, ("held", rate(result))))
+    return ", ".join(filter(None, ("held", rate_text(result))))
 
 
 def line(results: Sequence[TrialResult], *, outdated: bool = False) -> str:

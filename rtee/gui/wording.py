@@ -1,4 +1,4 @@
-"""Texts of the GUI: outcomes, references to actions, legends, short names, units and choices."""
+"""Texts of the GUI: outcomes, legends, short names, units and choices."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Any, Final
 import viser
 from viser._messages import GuiSliderMark
 
-from rtee.actions.types import ActionReference
 from rtee.gui.colours import BAD, GOOD, WARN, line_colour, line_dash
 from rtee.hand.names import common_prefix
 from rtee.remote.words import ending
@@ -29,12 +28,6 @@ def outcome(result: Result) -> tuple[str, str]:
     """Return the outcome of a goal as a sentence and its colour."""
     bad = result.outcome is Outcome.ABORTED
     return ending(result), GOOD if result.succeeded else BAD if bad else WARN
-
-
-def described(use: ActionReference) -> str:
-    """Return a reference to an action as text, such as ``Trig thumb × 0.3``."""
-    name = " ".join((use.action, *use.elements))
-    return name if use.scale == 1.0 else f"{name} × {use.scale:g}"
 
 
 def effort_bar(share: float) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from rtee.hand.frames import rotation
 from rtee.sample import FloatArray
-from rtee.trials.result import CHOOSING
+from rtee.trials.result import CHOOSING, TrialResult
 
 SIZE: Final = 0.1
 """Objects are up to this share larger or smaller."""
@@ -142,6 +142,17 @@ def interval_text(successes: int, tries: int) -> str:
     """Return that interval as text, such as ``70 to 97 %``."""
     low, high = interval(successes, tries)
     return f"{low * 100:.0f} to {high * 100:.0f} %"
+
+
+def rate_text(result: TrialResult) -> str:
+    """Return in how many variations an object was held; ``""`` without variations.
+
+    Such as ``18 of 20 variations (95 % confidence: 70 to 97 %)``.
+    """
+    if not (tries := result.tries):
+        return ""
+    likely = interval_text(result.survived, tries)
+    return f"{result.survived} of {tries} variations (95 % confidence: {likely})"
 
 
 def decided(successes: int, tries: int, wanted: float | None) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rtee.actions.build import full_posture, generic
+from rtee.actions.describe import described
 from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.types import (
     ActionKind,
@@ -24,7 +25,7 @@ from rtee.gui.panels.recordings import files_in
 from rtee.gui.panels.table import table
 from rtee.gui.trial_results import Tried, key_of, line, tried_in, verdict
 from rtee.gui.trial_results import table as tried_table
-from rtee.gui.wording import described, outcome, short_names, units
+from rtee.gui.wording import outcome, short_names, units
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.messages.state import State

@@ -13,7 +13,7 @@ import pytest
 from rtee.errors import ConfigError, RequestRejected
 from rtee.gui.panels.trying import Jobs, folder_of, number, shape_text
 from rtee.gui.scene import arrows_of, strongest
-from rtee.gui.trial_results import Tried, object_name, rate, verdict
+from rtee.gui.trial_results import Tried, object_name, verdict
 from rtee.hand.load import load_hand
 from rtee.objects.shape import Table
 from rtee.trials.job import TrialJob, meshes_of
@@ -92,8 +92,7 @@ def test_a_hand_from_elsewhere_is_not_tried(repository: Path, tmp_path: Path) ->
 def test_a_result_is_shown_with_its_rate() -> None:
     trial = Trial("Grasp", (), "/somewhere/mug.stl", variations=20)
     held = TrialResult(trial, True, survived=18)
-    assert rate(held) == "18 of 20 variations (95 %: 70 to 97 %)"
-    assert verdict(held).startswith("held, 18 of 20")
+    assert verdict(held) == "held, 18 of 20 variations (95 % confidence: 70 to 97 %)"
     assert verdict(TrialResult(trial, False, "it fell while it was lifted")).startswith("it fell")
     assert object_name(trial.object) == "mug.stl"
     again = TrialResult(trial, True, survived=19)

@@ -185,7 +185,7 @@ def test_the_rate_is_reported_with_its_confidence() -> None:
     words = [GRIPPER, "Grasp", "--object", "box:0.04x0.04x0.1", "--variations", "2"]
     outcome = CliRunner().invoke(app_of(try_), [*words, "--friction", "0.9"])
     assert outcome.exit_code == 0, outcome.output
-    assert "with variations 2 of 2 (95 % confidence: 34 to 100 %)" in outcome.stdout
+    assert "2 of 2 variations (95 % confidence: 34 to 100 %)" in outcome.stdout
 
 
 @pytest.mark.heavy

@@ -13,12 +13,13 @@ import anyio
 import viser
 
 from rtee.actions.build import StepPlan
+from rtee.actions.describe import described
 from rtee.actions.types import Action, ActionReference, CustomAction, Primitive, Timed
 from rtee.errors import RemoteError, RequestRejected
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.actions import Show
 from rtee.gui.panels.execution import Execution
-from rtee.gui.wording import NOTHING, described, mark, offer, short_names, small
+from rtee.gui.wording import NOTHING, mark, offer, short_names, small
 from rtee.hand.model import Hand
 from rtee.hand.names import free_name
 from rtee.messages.requests import Role

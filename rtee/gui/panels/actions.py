@@ -10,13 +10,14 @@ from typing import Final
 
 import viser
 
+from rtee.actions.describe import described
 from rtee.actions.types import Action, ActionKind, Evidence, Posture, Primitive, Timed, kind_of
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.execution import Execution
 from rtee.gui.trial_results import Tried, key_of, object_name, verdict
 from rtee.gui.trial_results import line as tried_line
 from rtee.gui.trial_results import table as tried_table
-from rtee.gui.wording import JOINED, described, mark, offer, small
+from rtee.gui.wording import JOINED, mark, offer, small
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 from rtee.remote.goal_values import GoalOptions, grasp_goal, touch_goal

@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import viser
 
+from rtee.actions.describe import described
 from rtee.actions.types import Action, Step
 from rtee.errors import RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, BAR, OLD, PREVIEW
 from rtee.gui.trial_results import key_of
-from rtee.gui.wording import coloured, described, outcome, small
+from rtee.gui.wording import coloured, outcome, small
 from rtee.remote.client import RemoteHand
 from rtee.remote.goal import RunningGoal
 from rtee.remote.goal_values import GoalOptions
