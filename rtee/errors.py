@@ -272,6 +272,15 @@ class ExpressionError(ModelError):
         self.column = column
 
 
+def first_error(group: BaseExceptionGroup[BaseException]) -> RteeError | None:
+    """Return the first error of a group if all of them are sentences for the user."""
+    own, others = group.split(RteeError)
+    first: BaseException | None = own if others is None else None
+    while isinstance(first, BaseExceptionGroup):
+        first = first.exceptions[0]
+    return first if isinstance(first, RteeError) else None
+
+
 def closest(name: str, valid: Iterable[str]) -> str:
     """Return the valid name most similar to a name, ignoring case; ``""`` if none is similar."""
     folded = {each.casefold(): each for each in valid}
@@ -482,15 +491,7 @@ class SimulationUnstable(RteeError):
 
 
 class LoopError(RteeError):
-    """The loop itself failed.
-
-    Attributes:
-        last_cycles: Contents of the flight recorder, newest last.
-    """
-
-    def __init__(self, message: str, last_cycles: Sequence[object] = ()) -> None:
-        super().__init__(message)
-        self.last_cycles = tuple(last_cycles)
+    """The loop itself failed."""
 
 
 class RemoteError(RteeError):

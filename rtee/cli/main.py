@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from rtee.cli._common import app_of
-from rtee.errors import RteeError, check_system, closest
+from rtee.errors import RteeError, check_system, closest, first_error
 
 COMMANDS: dict[str, tuple[str, str]] = {
     # offline
@@ -168,7 +168,7 @@ def main() -> None:
         sys.exit(error.exit_status)
     except BaseExceptionGroup as group:
         # Several parallel tasks may raise the same mistake; it is reported once.
-        mistake = _mistake(group)
+        mistake = first_error(group)
         if mistake is None:
             raise
         print(f"rtee: {mistake}", file=sys.stderr)
@@ -203,17 +203,6 @@ def _open_standard_streams() -> None:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115
-
-
-def _mistake(group: BaseExceptionGroup[BaseException]) -> RteeError | None:
-    """Return the first error of a group if all of them are sentences for the user."""
-    own, others = group.split(RteeError)
-    if own is None or others is not None:
-        return None
-    first: BaseException = own
-    while isinstance(first, BaseExceptionGroup):
-        first = first.exceptions[0]
-    return first if isinstance(first, RteeError) else None
 
 
 def _shortage(error: Exception) -> str:

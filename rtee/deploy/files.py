@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rtee.deploy.needs import SECURE, Needs, Port, checked_path
+from rtee.drivers.diagnosis.machine import LIMITS
 from rtee.errors import ConfigError
 from rtee.hand.files import files_below, make_folder, write_atomically
 
@@ -19,7 +20,6 @@ HANDS = "/etc/rtee/hands"
 
 UNIT = "/etc/systemd/system/rtee@.service"
 RULES = "/etc/udev/rules.d/99-rtee.rules"
-LIMITS = "/etc/security/limits.d/rtee.conf"
 ACCOUNTS = "/etc/sysusers.d/rtee.conf"
 GOVERNOR = "/etc/tmpfiles.d/rtee-realtime.conf"
 KERNEL_LINE = "/etc/default/grub.d/rtee.cfg"

@@ -23,6 +23,7 @@ from rtee.errors import ConfigError, RteeError, suggestion
 from rtee.hand.validation import Invalid, validated
 
 WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
+"""The faults that a wire can have."""
 _ZMQ_PORT = 5556
 """TCP port where a ZeroMQ server publishes; the next one takes requests, the third one commands."""
 HELP = """\

@@ -10,7 +10,7 @@ from typing import Final
 import anyio
 import numpy as np
 
-from rtee.errors import RteeError
+from rtee.errors import RteeError, first_error
 from rtee.gui.history import LONGEST, StateHistory, TouchHistory
 from rtee.hand.model import Hand
 from rtee.messages.state import State
@@ -40,12 +40,8 @@ AGAIN: Final = 0.5
 
 def first_message(errors: BaseExceptionGroup[BaseException]) -> str:
     """Return the message of the first `RteeError`; raise ``errors`` if it has other exceptions."""
-    known, others = errors.split(RteeError)
-    if known is None or others is not None:
+    if (error := first_error(errors)) is None:
         raise errors
-    error: BaseException = known
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
     return str(error)
 
 

@@ -111,8 +111,6 @@ def copy_hand(folder: Path, target: Path) -> None:
         ModelError: if the copy cannot be loaded, because the hand has files outside of its folder.
     """
     name = check_name(target.name, "hand")
-    if target.exists():
-        raise ConfigError(f"hand '{name}' already exists; remove the folder first", path=target)
     with new_tree(target) as copy:
         _fill(folder, copy, name)
         if not (target.parent / SCHEMA_FILE).exists():

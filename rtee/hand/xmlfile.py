@@ -71,12 +71,9 @@ class Element:
             ModelError: if it is not finite, is larger than ``most``, or is missing without a
                 default.
         """
-        text = self.attributes.get(attribute)
-        if text is None and default is not None:
+        if attribute not in self.attributes and default is not None:
             return default
-        if text is None:
-            raise self.error(f"<{self.tag}> needs the attribute '{attribute}'")
-        return self._finite(attribute, text, most)
+        return self._finite(attribute, self.required(attribute), most)
 
     def numbers(
         self,
@@ -92,11 +89,9 @@ class Element:
             ModelError: if there are not ``count`` of them, one is not finite or is larger than
                 ``most``, or the attribute is missing without a default.
         """
-        text = self.attributes.get(attribute)
-        if text is None and default is not None:
+        if attribute not in self.attributes and default is not None:
             return default
-        if text is None:
-            raise self.error(f"<{self.tag}> needs the attribute '{attribute}'")
+        text = self.required(attribute)
         parts = text.split()
         if len(parts) != count:
             raise self.error(f'{attribute}="{text[:80]}" should be {count} numbers')

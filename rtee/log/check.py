@@ -26,6 +26,7 @@ from rtee.loop.measured import TIP_FORCE, Measured, tip_forces
 from rtee.loop.plan import Plan
 from rtee.loop.snapshot import differs, restore
 from rtee.messages import topics
+from rtee.messages.layout import JOINT_ARRAYS
 from rtee.sample import FloatArray, Measurements, measured_arrays
 from rtee.types import Result, readonly
 
@@ -46,7 +47,6 @@ TOPICS = (
 S = TypeVar("S", bound=JointSeries)
 
 _UNEQUAL = "holds no states and references of the same ticks"
-_QUANTITIES = ("position", "velocity", "effort")
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +226,7 @@ class _Checker:
             return
         if states.names != self._names or reference.names != self._names:
             raise LogError("has actuators that differ from those in its settings", path=self.path)
-        computed = {name: np.empty((len(rows), len(self._names))) for name in _QUANTITIES}
+        computed = {name: np.empty((len(rows), len(self._names))) for name in JOINT_ARRAYS}
         for row, measured in zip(rows, self._measurements(piece), strict=True):
             self._step(int(states.tick[row]), float(states.time[row]), measured)
             computed["position"][row] = self._controller.reference_position
@@ -327,12 +327,12 @@ class _Checker:
 
     def _compare(self, piece: Recording, computed: dict[str, FloatArray]) -> None:
         states, reference, found = piece.actuator_states, piece.reference, self._sum
-        unequal = {name: _unequal(getattr(reference, name), computed[name]) for name in _QUANTITIES}
+        unequal = {name: _unequal(getattr(reference, name), own) for name, own in computed.items()}
         rows = np.flatnonzero(np.any([each.any(axis=1) for each in unequal.values()], axis=0))
         first = found.first
         if rows.size and first is None:
             row = int(rows[0])
-            name = next(name for name in _QUANTITIES if unequal[name][row].any())
+            name = next(name for name in unequal if unequal[name][row].any())
             column = int(np.flatnonzero(unequal[name][row])[0])
             first = Difference(
                 tick=int(states.tick[row]),

@@ -23,6 +23,7 @@ from rtee.log.recording import ActuatorSeries, Entry, JointSeries, Recording
 from rtee.messages import topics
 from rtee.messages.codec import SECOND
 from rtee.messages.convert import plain
+from rtee.messages.layout import JOINT_ARRAYS
 from rtee.messages.state import ACTUATOR_COLUMNS
 from rtee.types import Result
 
@@ -280,13 +281,12 @@ def to_pandas(recording: Recording, topic: str = topics.ACTUATOR_STATES) -> pand
     return pandas.DataFrame(tables(recording, [topic]).get(topic, {"t": []})).set_index("t")
 
 
-_WIDE = ("position", "velocity", "effort")
 _LARGEST = 2**63 - 1  # largest number of 64 bits with a sign
 
 
 def _series(series: JointSeries) -> Table:
     table: Table = {"t": series.t, "wall_ns": series.wall}
-    wide: Sequence[str] = _WIDE
+    wide: Sequence[str] = JOINT_ARRAYS
     if isinstance(series, ActuatorSeries):
         table |= {"tick": series.tick, "monotonic": series.time}
         wide = ACTUATOR_COLUMNS

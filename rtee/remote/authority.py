@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rtee.errors import ConfigError
-from rtee.hand.files import flush_to_disk, reason
+from rtee.hand.files import failing, flush_to_disk
 from rtee.messages.requests import Role
 from rtee.remote.credentials import (
     AUTHORITY,
@@ -71,12 +71,10 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
             " if you mean to start again",
             path=folder / AUTHORITY_KEY,
         )
-    try:
+    with failing("cannot be created", folder):
         # One by one, since `parents` makes the upper ones with the umask's permissions.
         for place in (*reversed(folder.parents), folder):
             place.mkdir(mode=0o700, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"cannot be created: {reason(error)}", path=folder) from None
     key = ec.generate_private_key(ec.SECP256R1())
     subject = _name(f"authority of {hand}")
     builder = _builder(subject, subject, key, _AUTHORITY_DAYS)
@@ -142,10 +140,8 @@ def add_hand(folder: Path, hand: str, to: Path, days: int = DAYS) -> None:
     known, common = _known(folder), secrets.token_hex(_RANDOM)
     key = ec.generate_private_key(ec.SECP256R1())
     certificate = _issued(folder, common, key, days, ExtendedKeyUsageOID.CLIENT_AUTH)
-    try:
+    with failing("cannot be created", to):
         to.mkdir(mode=0o700)
-    except OSError as error:
-        raise ConfigError(f"cannot be created: {reason(error)}", path=to) from None
     others = {name: other for name, other in known.hands.items() if other != hand}
     _write(replace(known, hands={**others, common: hand}))
     write_private(to / HAND_KEY, _key_text(key))
@@ -183,28 +179,22 @@ def write_private(path: Path, text: str) -> None:
 
     Raises `ConfigError` if it cannot be written.
     """
-    try:
-        _write_private(path, text)
-    except OSError as error:
-        raise ConfigError(f"cannot be written: {reason(error)}", path=path) from None
-
-
-def _write_private(path: Path, text: str) -> None:
-    # Private from its creation on: before a later chmod, others could open it. The name is new, so
-    # that no existing file or link is followed.
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
-    part = Path(name)
-    try:
-        with os.fdopen(descriptor, "w", encoding="ascii") as file:
-            file.write(text)
-            file.flush()
-            # After a power cut, a certificate without its key would be useless.
-            os.fsync(file.fileno())
-        part.replace(path)
-        flush_to_disk(path.parent)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+    with failing("cannot be written", path):
+        # Private from its creation on: before a later chmod, others could open it. The name is new,
+        # so that no existing file or link is followed.
+        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
+        part = Path(name)
+        try:
+            with os.fdopen(descriptor, "w", encoding="ascii") as file:
+                file.write(text)
+                file.flush()
+                # After a power cut, a certificate without its key would be useless.
+                os.fsync(file.fileno())
+            part.replace(path)
+            flush_to_disk(path.parent)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
 
 
 def _issued(
@@ -231,10 +221,10 @@ def _issued(
 
 
 def _loaded(path: Path, load: Callable[[bytes], T]) -> T:
+    with failing("cannot be read", path):
+        content = path.read_bytes()
     try:
-        return load(path.read_bytes())
-    except OSError as error:
-        raise ConfigError(f"cannot be read: {reason(error)}", path=path) from None
+        return load(content)
     except (ValueError, TypeError):  # the latter for a key with a passphrase
         raise ConfigError("is not the file that 'rtee secure init' made", path=path) from None
 

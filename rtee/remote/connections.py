@@ -22,6 +22,7 @@ from typing import Any
 
 import zenoh
 
+from rtee.remote.directory import peer_of
 from rtee.remote.rates import CONNECTIONS_OF_USER
 
 _TOGETHER = 0.25
@@ -34,9 +35,6 @@ _ZENOH_LINGER = struct.pack("ii", 1, 10)
 
 _NO_LINGER = struct.pack("ii", 0, 0)
 """SO_LINGER off: closing a socket returns at once."""
-
-_CREDENTIALS = struct.Struct("3i")
-"""Process, user and group of the other side, as Linux reports them."""
 
 
 def _connected() -> Iterator[tuple[socket.socket, Any]]:
@@ -165,5 +163,4 @@ def _user(link: socket.socket) -> int:
     """Return the user at the other side of a Unix socket."""
     if sys.platform != "linux":
         return -1
-    peer = link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-    return int(_CREDENTIALS.unpack(peer)[1])
+    return peer_of(link)[1]

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rtee.errors import ConfigError
-from rtee.hand.files import is_trusted, reason
+from rtee.hand.files import failing, is_trusted, reason
 from rtee.hand.names import check_name
 from rtee.values import Value
 
@@ -293,17 +293,20 @@ def _owner(name: str) -> tuple[int, int] | None:
             asking.connect(name)
         except OSError:
             return None
-        peer = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
-        pid, uid, _ = struct.unpack("3i", peer)
-        return pid, uid
+        return peer_of(asking)
+
+
+def peer_of(link: socket.socket) -> tuple[int, int]:
+    """Return the ids of the process and the user at the other side of a Unix socket, on Linux."""
+    peer = link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+    process, user, _ = struct.unpack("3i", peer)
+    return process, user
 
 
 def _locked(path: Path, hand: str) -> int:
     for _ in range(_ATTEMPTS):
-        try:
+        with failing("cannot be written", path):
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | _OPEN, 0o640)
-        except OSError as error:
-            raise ConfigError(f"cannot be written: {reason(error)}", path=path) from None
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode) or not is_trusted(status, os.getuid()):
             os.close(descriptor)

@@ -11,7 +11,7 @@ from typing import Any
 
 import anyio
 
-from rtee.errors import ConfigError, MessageError, RemoteError, UserError
+from rtee.errors import ConfigError, MessageError, RemoteError, UserError, first_error
 from rtee.hand.config_schema import Distro, Ros2Settings, ThermalSettings
 from rtee.hand.model import Hand
 from rtee.remote.client import RemoteHand, connect
@@ -150,7 +150,7 @@ async def _keep_showing(context: Context, hand: Shown) -> None:
                 for part in parts:
                     group.start_soon(part.run)
         except* (RemoteError, MessageError) as errors:
-            log.warning("%s has left ROS 2: %s", hand.name, _first(errors))
+            log.warning("%s has left ROS 2: %s", hand.name, first_error(errors))
         # Trying again does not help against a wrong setting, so the command ends.
         except* UserError:
             raise
@@ -205,10 +205,3 @@ def _grouped(pairs: Collection[tuple[str, str]] | Any) -> dict[str, list[str]]:
 
 def _listed(names: Sequence[str]) -> str:
     return " and ".join(names)
-
-
-def _first(errors: BaseExceptionGroup[Any]) -> str:
-    error: BaseException = errors
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    return str(error)

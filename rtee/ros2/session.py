@@ -101,12 +101,11 @@ def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings
         raise ConfigError(f"the command line: {error}") from None
 
 
-def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = None) -> int:
+def domain_of(settings: Ros2Settings, environment: Mapping[str, str]) -> int:
     """Return the domain in the environment, otherwise the one in the settings.
 
     Raises `ConfigError` if the environment variable is not a domain.
     """
-    environment = os.environ if environment is None else environment
     text = environment.get(DOMAIN, "").strip()
     if not text:
         return settings.domain
@@ -121,9 +120,7 @@ def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = No
 
 def check_environment() -> None:
     """Raise `ConfigError` if an environment variable has a value that no node could use."""
-    domain_of(Ros2Settings())
-    router_attempts()
-    configuration(Ros2Settings())
+    check_session(Ros2Settings(), os.environ, insecure=False)
 
 
 def check_session(
@@ -135,12 +132,11 @@ def check_session(
     configuration(settings, environment, insecure=insecure)
 
 
-def router_attempts(environment: Mapping[str, str] | None = None) -> int:
+def router_attempts(environment: Mapping[str, str]) -> int:
     """Return the number of checks for a router at the start; 0: no limit, negative: no check.
 
     Raises `ConfigError` if the environment variable is not a whole number.
     """
-    environment = os.environ if environment is None else environment
     text = environment.get(ROUTER_CHECK, "").strip() or "1"
     try:
         return int(text)
@@ -149,18 +145,14 @@ def router_attempts(environment: Mapping[str, str] | None = None) -> int:
 
 
 def configuration(
-    settings: Ros2Settings,
-    environment: Mapping[str, str] | None = None,
-    *,
-    insecure: bool = False,
+    settings: Ros2Settings, environment: Mapping[str, str], *, insecure: bool = False
 ) -> zenoh.Config:
     """Return the configuration of a session with the router in the settings.
 
-    The variables of rmw_zenoh are those of the process unless an environment is given. Raises
-    `ConfigError` if the router, a variable or the file that it names is invalid, or, unless
-    ``insecure``, the router is open to the network.
+    The environment has the variables of rmw_zenoh. Raises `ConfigError` if the router, a variable
+    or the file that it names is invalid, or, unless ``insecure``, the router is open to the
+    network.
     """
-    environment = os.environ if environment is None else environment
     if file := environment.get(SESSION_CONFIG, ""):
         config = _from_file(file)
     else:

@@ -23,6 +23,7 @@ import anyio
 
 from rtee import monotonic
 from rtee.errors import GoalRejected, LeaseHeld, MessageError, NoHand, RequestRejected, RteeError
+from rtee.loop.streams.player import LAG_CHANNEL
 from rtee.messages.state import State
 from rtee.remote.stream import Stream
 from rtee.ros2.action_server import ActionServer, Job, Offer, ServerGoal
@@ -184,9 +185,6 @@ _RATE = 50.0
 
 _EVERY = 2
 """Number of checks per feedback: 25 Hz, where ros2_control has 20 Hz by default."""
-
-_LAG = "stream/lag"
-"""Channel of the state with the lag of the stream [s]."""
 
 _NOISE = 0.02
 """Share of its velocity limit below which an actuator counts as still, too: the default of the
@@ -487,7 +485,7 @@ class _Following:
             for_feedback = partial(next, count())
             async for state in self._action.served.hand.states(_RATE):
                 now = monotonic.now()
-                lag = state.channels.get(_LAG)
+                lag = state.channels.get(LAG_CHANNEL)
                 # The lag may be that of a stream that has just ended.
                 if lag is not None and self._play.begun:
                     self._played = min(self._played, now)

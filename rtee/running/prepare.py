@@ -14,6 +14,7 @@ from msgspec import structs
 from rtee.actions.library import ActionLibrary
 from rtee.actions.resting import pinch_at_rest
 from rtee.actions.types import Primitive
+from rtee.buses.pool import BusPool
 from rtee.drivers.objects import between_fingers
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError
@@ -23,6 +24,7 @@ from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
 from rtee.hand.validation import defaults
 from rtee.log import RecorderSettings
+from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import (
     DeviceChoice,
     DeviceSettings,
@@ -88,6 +90,14 @@ class PreparedHand:
     library: ActionLibrary
     settings: LoopSettings
     devices: tuple[DeviceSettings, ...]
+
+    def loop(self, pool: BusPool) -> HandLoop:
+        """Return the hand's loop with its drivers, whose buses are in a pool."""
+        devices = [
+            (device, find_driver(device.spec.driver, source=device.spec.source)(device.spec, pool))
+            for device in self.devices
+        ]
+        return HandLoop(self.hand, self.library, self.settings, devices)
 
     def warnings(self) -> list[str]:
         """Return warnings about the hand's files, one sentence each."""

@@ -17,7 +17,6 @@ import anyio
 from msgspec import structs
 
 from rtee.buses.pool import BusPool
-from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, LoopError, RteeError, needing_extra
 from rtee.hand.config_schema import RealtimeSettings, RemoteSettings
 from rtee.log import Recorder
@@ -238,11 +237,7 @@ async def _open(
     trace: _Trace,
     lines: Callable[[Fields], None] | None,
 ) -> _RunningHand:
-    devices = [
-        (device, find_driver(device.spec.driver, source=device.spec.source)(device.spec, pool))
-        for device in prepared.devices
-    ]
-    loop = HandLoop(prepared.hand, prepared.library, prepared.settings, devices)
+    loop = prepared.loop(pool)
     # The recorder calls `notify` from its writer's thread.
     announce = asyncio.get_running_loop().call_soon_threadsafe
 

@@ -13,6 +13,7 @@ import pytest
 from rtee import monotonic
 from rtee.buses.faults import Faults
 from rtee.buses.retry import patiently
+from rtee.drivers.emulator_server import WIRE_FAULTS
 from rtee.errors import (
     BusError,
     BusTimeout,
@@ -27,9 +28,6 @@ from rtee.sample import ActuatorState
 from rtee.testing.case import DeviceCase
 from rtee.testing.session import Session, open_files, simulated_time
 from rtee.types import Reference
-
-WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
-"""The faults that a wire can have, one run of `test_a_faulty_wire_is_survived` each."""
 
 NEEDS_CHECKSUMS = frozenset({"corrupt", "noise"})
 """The faults that a driver can detect only if frames have checksums."""

@@ -20,12 +20,11 @@ import anyio
 from rtee.actions.types import ActionReference
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_time import SimulatedTimeLoop
-from rtee.drivers.registry import find_driver
 from rtee.errors import NoHand, NotReady
 from rtee.hand.load import hand_folder
 from rtee.hand.model import Hand
 from rtee.loop.clock import Clock
-from rtee.loop.handloop import HandLoop, drive
+from rtee.loop.handloop import drive
 from rtee.loop.observer import Observer
 from rtee.loop.plan import Plan
 from rtee.messages.goals import GOAL
@@ -85,12 +84,7 @@ class SimulatedHand(EmulatedDevices, Observer):
         self._prepared = prepared
         self._runner = asyncio.Runner(loop_factory=SimulatedTimeLoop)
         self._pool = BusPool()
-        devices = [
-            (device, find_driver(device.spec.driver, source=device.spec.source)(device.spec, pool))
-            for pool in [self._pool]
-            for device in prepared.devices
-        ]
-        self._loop = HandLoop(prepared.hand, prepared.library, prepared.settings, devices)
+        self._loop = prepared.loop(self._pool)
         self._loop.add_observer(self)
         self._messages = StateMessages(prepared.hand)
         self._ended = False

@@ -14,7 +14,7 @@ from rtee.hand.config_schema import RealtimeSettings
 _PRIORITY = RealtimeSettings().priority
 """Default real-time priority of a hand's loop."""
 
-_LIMITS = "/etc/security/limits.d/rtee.conf"
+LIMITS = "/etc/security/limits.d/rtee.conf"
 """File that raises the user's limits (pam_limits)."""
 
 
@@ -63,7 +63,7 @@ def _priority() -> Check:
     return warning(
         "real-time priority",
         f"allowed up to {soft}, `rtee run --realtime` asks for {_PRIORITY}",
-        f"echo '{_user()} - rtprio 90' | sudo tee -a {_LIMITS}   # then log in again",
+        f"echo '{_user()} - rtprio 90' | sudo tee -a {LIMITS}   # then log in again",
     )
 
 
@@ -74,7 +74,7 @@ def _memory() -> Check:
     return warning(
         "locked memory",
         f"limited to {soft // 1024} KiB",
-        f"echo '{_user()} - memlock unlimited' | sudo tee -a {_LIMITS}   # then log in again",
+        f"echo '{_user()} - memlock unlimited' | sudo tee -a {LIMITS}   # then log in again",
     )
 
 

@@ -235,8 +235,7 @@ class LinkerHandDriver(Driver):
 
     async def activate(self) -> None:
         """Attach to the hand as it is: its motors are always on and keep their set-points."""
-        with self.link.relaxed_deadline():
-            await self._examine()
+        await self.examine()
         self.attached.begin(range(len(self._motors)))
 
     async def examine(self) -> str:

@@ -145,7 +145,7 @@ class Playout:
         return False
 
 
-CHANNEL = "stream/lag"
+LAG_CHANNEL = "stream/lag"
 """The state's channel with the lag and jitter of a stream [s], while it plays."""
 
 
@@ -167,13 +167,13 @@ class StreamPlayer:
         deadline: Time without a sample after which the stream pauses [s].
         effort: Effort limits by actuator [N·m | N]; other actuators keep the hand's own.
         playing: Whether the stream moves actuators: from a first sample until it pauses.
-        channels: Lag and jitter ``(2,)`` [s], by `CHANNEL`.
+        channels: Lag and jitter ``(2,)`` [s], by `LAG_CHANNEL`.
     """
 
     def __init__(self, begin: BeginStream, limits: MotionLimits, tick: float) -> None:
         self.name, self.deadline, self.effort = begin.stream, begin.deadline, begin.effort
         self.playing = False
-        self.channels: Mapping[str, FloatArray] = {CHANNEL: readonly((0.0, 0.0))}
+        self.channels: Mapping[str, FloatArray] = {LAG_CHANNEL: readonly((0.0, 0.0))}
         self._playout = Playout(begin.rate, tick, begin.max_lag)
         self._path = Interpolator(limits, tick)
         self._arrival = -math.inf
@@ -256,7 +256,7 @@ class StreamPlayer:
                 # From the position sent last, so that the actuator does not jump.
                 path.include(index, reference[index], speed[index])
         path.add(positions, velocities, sample.stamp, playout.time, playout.now, playout.period)
-        self.channels = {CHANNEL: np.array((playout.lag, playout.jitter))}
+        self.channels = {LAG_CHANNEL: np.array((playout.lag, playout.jitter))}
 
     def overdue(self, now: float) -> bool:
         """Return whether the deadline has passed without a sample."""
