@@ -153,7 +153,7 @@ EmulatedOption = Annotated[
 IdealOption = Annotated[
     bool,
     typer.Option(
-        "--ideal", help="Emulated devices as their sheets have them: no lag, backlash, noise."
+        "--ideal", help="Emulated devices as on their data sheets, without lag, backlash or noise."
     ),
 ]
 FrictionOption = Annotated[

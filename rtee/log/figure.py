@@ -33,7 +33,7 @@ _LANES = 3  # rows of labels above the panels; a name that fits into none is lef
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A span with its colour; `inner` for an inner action of a timed one."""
+    """A span with its colour, and whether it is an inner action of a timed one."""
 
     span: Span
     colour: str

@@ -807,7 +807,7 @@ class ContactMonitor:
     def follows(self, i: int, here: float, reference: float, velocity: float) -> None:
         """Learn by how much time an actuator lags behind its reference while it moves freely.
 
-        An actuator that is stopped falls behind by the full travel of its reference: this is no
+        An actuator that is stopped falls behind by the full travel of its reference, which is not
         lag.
 
         Args:

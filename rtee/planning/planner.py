@@ -390,7 +390,7 @@ class Planner:
         return self.promise(closure) + 2.0 * self._squareness(search, closure)
 
     def _pressed(self, search: Search, closure: Closure) -> tuple[PressingForces, FloatArray]:
-        """Return how fingers that grasp with a force press, and the maps of their contacts."""
+        """Return the forces of fingers that grasp with a force, and the maps of their contacts."""
         contacts = closure.contacts[:_MOST_CONTACTS]
         maps = self.scene.torques(closure.u, contacts)
         knots = search.closing.path.knots

@@ -60,7 +60,7 @@ class Lease:
         self._acquired = client
 
     def release(self, client: str) -> None:
-        """Release a client's lease by `acquire` or a jog; a running goal still holds it."""
+        """Release the lease that a client got by `acquire` or a jog; its running goal keeps it."""
         if self._acquired == client:
             self._acquired = ""
         if self._jogger == client:

@@ -206,7 +206,7 @@ def mark(scene: TrialScene) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Lift:
-    """Lift the object [m], in a second: an arm's calm motion; hold it there [s]."""
+    """Lift the object by a distance [m] in a second, as an arm does calmly; hold it there [s]."""
 
     distance: float
     hold: float
