@@ -347,7 +347,7 @@ class ContactMonitor:
         if watched is None:
             return 0.0
         moved = abs(position[i] - watched.hold_position)
-        # Seldom, since a lever takes a good part of a tick. "not ... >": it may hold nothing.
+        # Seldom, since a lever takes a good part of a tick. Without a grip, the motion is NaN.
         if not moved > watched.tolerance:
             return 0.0
         lever = self._levers.of(i, stamp, position)
