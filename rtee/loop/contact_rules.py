@@ -127,13 +127,13 @@ def touches(felt: bool | None, *, pushes: bool, blocked: bool) -> bool:
 
 
 def presses(force: float, least: float, still: Iterable[bool]) -> bool:
-    """Return whether fingers that stand still press on something, by their efforts alone.
+    """Return whether fingers that do not follow their references press on something, by efforts.
 
     Args:
-        force: The force between them by the efforts of those that stand still, net of weight and
+        force: The force between them by the efforts of those that do not follow, net of weight and
             friction [N].
         least: The force to press with [N].
-        still: For each side, whether a pressing actuator of known friction stands still.
+        still: For each side, whether a pressing actuator of known friction does not follow.
     """
     return force >= least and all(still)
 
