@@ -11,6 +11,7 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Final
 
 _ROOT: Final = str(Path(__file__).parents[1])
@@ -35,12 +36,19 @@ def environment() -> dict[str, str]:
 
 @contextlib.contextmanager
 def spawning() -> Iterator[None]:
-    """Prevent processes started by `multiprocessing` from importing from the working folder."""
-    before = os.environ.get(_SAFE)
+    """Let processes started by `multiprocessing` import neither the program nor its folder.
+
+    They would run the program once more, which fails without ``if __name__ == "__main__"``, and if
+    it comes from the standard input.
+    """
+    before, main = os.environ.get(_SAFE), sys.modules["__main__"]
     os.environ[_SAFE] = "1"
+    # Multiprocessing looks here for the program.
+    sys.modules["__main__"] = ModuleType("__main__")
     try:
         yield
     finally:
+        sys.modules["__main__"] = main
         if before is None:
             del os.environ[_SAFE]
         else:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import asyncio
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -64,6 +66,28 @@ def test_a_mistyped_trial_is_refused_before_any_begins() -> None:
         rtee.run_trials(GRIPPER, [good, rtee.Trial("Grip")])
     with pytest.raises(rtee.UserError, match="shere"):
         rtee.run_trials(GRIPPER, [good, rtee.Trial("Grasp", object="shere:0.03")])
+
+
+PROGRAM = f"""
+import rtee
+trials = [rtee.Trial("Grasp", object=f"sphere:{{radius}}") for radius in (0.8, 0.9)]
+print([result.fits for result in rtee.run_trials("{GRIPPER}", trials, jobs=2)])
+"""
+
+
+@pytest.mark.parametrize("as_file", [True, False])
+def test_a_program_need_not_guard_its_trials(tmp_path: Path, as_file: bool) -> None:
+    """Its processes neither run it again nor look for the file of the standard input."""
+    file = tmp_path / "program.py"
+    file.write_text(PROGRAM)
+    done = subprocess.run(
+        [sys.executable, str(file) if as_file else "-"],
+        input=None if as_file else PROGRAM,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.stdout, done.stderr) == ("[False, False]\n", "")
 
 
 def test_a_simulated_hand_in_a_notebook() -> None:

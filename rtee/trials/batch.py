@@ -26,9 +26,6 @@ def run_trials(
 ) -> list[TrialResult]:
     """Try actions on objects in simulation: approach, grasp, lift, shake, in several processes.
 
-    A program that calls it with more than one process does so below ``if __name__ ==
-    "__main__":``, as `multiprocessing` asks.
-
     Args:
         hand: The hand; or its name, or the path of its folder.
         trials: The trials to run.
