@@ -165,7 +165,8 @@ class _LimitReader:
         joint = self.joint
         if joint.lower == joint.upper:
             what = f"empty limits: lower and upper are both {joint.lower:g}"
-            raise self.urdf.error(f"actuator '{joint.name}' has {what}", joint.line)
+            remedy = 'give it the range of the real joint, or type="fixed"'
+            raise self.urdf.error(f"actuator '{joint.name}' has {what}; {remedy}", joint.line)
         lower, upper = least, most = self.soft() or (joint.lower, joint.upper)
         for key in ("lower", "upper"):
             value: float | None = getattr(self.own, key)

@@ -40,6 +40,9 @@ from rtee.hand.whole_robot import arm_joints
 from rtee.hand.yamlfile import YamlDocument
 from rtee.types import ActuatorSpec, JointKind, readonly
 
+_HEAVY = 5.0
+"""Mass of a finger's link that is likely meant in grams [kg]: whole hands weigh less."""
+
 _MODELS = {".urdf": "--urdf", ".xacro": "--urdf", ".xml": "--mjcf"}
 """Files given in place of a hand, and the option that makes a hand of each."""
 
@@ -282,6 +285,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     notes += images_outside(joints, specs, transmission)
     # Fingers are known by what moves them, so the transmission comes first.
     fingers, found = make_fingers(urdf, srdf, _movers(joints, specs, transmission))
+    found += _heavy(fingers, urdf)
     return Hand(
         name=check_name(overrides.name or safe_name(urdf.name), "hand"),
         base=urdf.root,
@@ -336,6 +340,19 @@ def _outside(
     are = "is" if len(apart) == 1 else "are"
     them = "it takes no part and stays" if len(apart) == 1 else "they take no part and stay"
     return apart, [f"{names} {are} {what}: {them} at rest"]
+
+
+def _heavy(fingers: Sequence[Finger], urdf: Urdf) -> list[str]:
+    """Return a note on links of fingers whose masses are likely not in kilograms."""
+    links = dict.fromkeys(link for finger in fingers for link in (*finger.links[1:], *finger.bars))
+    heavy = [link for link in links if urdf.links[link].mass > _HEAVY]
+    if not heavy:
+        return []
+    more = f" ({len(heavy)} links of fingers weigh more than {_HEAVY:g} kg)" * (len(heavy) > 1)
+    return [
+        f"link '{heavy[0]}' weighs {urdf.links[heavy[0]].mass:g} kg{more}; is its mass in grams? "
+        "URDFs have kilograms, and simulation takes them as they are"
+    ]
 
 
 def _movers(

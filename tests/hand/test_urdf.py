@@ -67,6 +67,17 @@ def test_limits_in_degrees_are_noticed(load: Load) -> None:
     assert not [note for note in load().notes if "turns" in note]
 
 
+def test_masses_in_grams_are_noticed(load: Load) -> None:
+    def weighing(mass: float) -> list[str]:
+        inertial = f'<inertial><mass value="{mass}"/></inertial></link>'
+        hand = load(GRIPPER.replace("</link>", inertial))
+        return [note for note in hand.notes if "weighs" in note]
+
+    (note,) = weighing(40.0)
+    assert "weighs 40 kg (2 links of fingers weigh more than 5 kg); is its mass in grams?" in note
+    assert weighing(0.04) == []
+
+
 def test_continuous_and_prismatic(load: Load) -> None:
     text = changed(LIMIT, "").replace('"left" type="revolute"', '"left" type="continuous"')
     hand = load(text.replace('"right" type="revolute"', '"right" type="prismatic"'))
