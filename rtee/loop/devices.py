@@ -86,7 +86,7 @@ class Devices:
             )
         self._all = tuple(self.by_name.values())
         self.state = StateAggregator(self._all, TouchGatherer(hand, self._refuse_touch))
-        self._active = dict.fromkeys(self.by_name, False)
+        self._active = dict.fromkeys(self.by_name, 0)
         self._masks = {d.name: np.ones(len(d.indices), dtype=np.bool_) for d in self._all}
         self._max_velocity: list[float] = []
         self._velocity_limits: FloatArray = np.empty(0)
@@ -115,7 +115,9 @@ class Devices:
             link = device.connection
             if not device.indices:  # it only measures, and moves nothing
                 continue
-            if (link.lifecycle is Lifecycle.ACTIVE) is not active[device.name]:
+            # By number: a device may have been inactive between two ticks, and been moved.
+            number = link.activations if link.lifecycle is Lifecycle.ACTIVE else 0
+            if number != active[device.name]:
                 self._follow(device, begin, steer, on_lost)
             if link.rejected:
                 self._refused(device, steer)
@@ -124,17 +126,18 @@ class Devices:
         self, device: Supervisor, begin: Steer, steer: Steer, on_lost: Callable[[str], None]
     ) -> None:
         names = device.actuators
-        if device.active:
+        if device.active and not self._active[device.name]:
             # The reference starts from the measured position, so there must be a valid one.
             if self.state.known(device):
-                self._active[device.name] = True
+                self._active[device.name] = device.connection.activations
                 accepts = "max_effort" in device.guarded.capabilities.accepts
                 # Before `SetActive`, after which the first references are sent.
                 begin(SetAcceptsEffort(dict.fromkeys(names, accepts)))
                 begin(SetActive(dict.fromkeys(names, True)))
             return
-        self._active[device.name] = False
-        text = f"device '{device.name}': {device.connection.trouble}"
+        self._active[device.name] = 0
+        trouble = device.connection.trouble or "it was inactive for a moment"
+        text = f"device '{device.name}': {trouble}"
         # Abort while the actuators still count as active: the goal then ends with this reason.
         steer(Abort(text, names))
         steer(SetActive(dict.fromkeys(names, False)))

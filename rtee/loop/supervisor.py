@@ -108,6 +108,7 @@ class DeviceConnection:
         lifecycle: State of the device.
         state: Its newest state, or ``None``.
         states: Number of states that it has returned.
+        activations: Number of times that it became active.
         counters: Counts of exchanges and their errors.
         every: Ticks from one exchange to the next.
         deadline: Time that an exchange may take [s].
@@ -130,6 +131,7 @@ class DeviceConnection:
         self.lifecycle = Lifecycle.UNCONFIGURED
         self.state: ActuatorState | None = None
         self.states = 0
+        self.activations = 0
         self.counters = ExchangeCounters()
         self.every = settings.spec.every or 1
         self.deadline = settings.spec.deadline or LEAST_DEADLINE
@@ -294,6 +296,7 @@ class DeviceConnection:
         self.fault = None
         self.message = self.trouble = ""
         self._given = None
+        self.activations += 1
         self.lifecycle = Lifecycle.ACTIVE
 
     async def recover(self) -> None:

@@ -245,6 +245,23 @@ async def test_a_device_may_be_configured_to_come_back_active(hand: Hand) -> Non
         assert [plant.target for plant in driver.plants] == hand.rest.tolist()
 
 
+async def test_what_is_recovered_between_two_ticks_starts_where_it_is_measured(
+    hand: Hand,
+) -> None:
+    """As in a slow loop, which sees only that the device is active, as before."""
+    settings, driver = trouble(hand)
+    async with running(hand, None, [(settings, driver)]) as rig:
+        assert (await rig.do("Trig", "index")).reached
+        await rig.loop.disable()
+        for plant in driver.plants:  # moved by hand meanwhile
+            plant.position = plant.target = 0.5 * (plant.spec.lower + plant.spec.upper)
+        await rig.loop.recover()
+        for _ in range(50):
+            await rig.run(1 / rig.clock.rate)
+            assert [p.target for p in driver.plants] == [p.position for p in driver.plants]
+        assert driver.plants[0].position == 0.75
+
+
 async def test_attempts_to_reconnect_come_less_and_less_often(hand: Hand) -> None:
     settings, driver = trouble(hand)
     async with running(hand, LoopSettings(rate=100.0), [(settings, driver)]) as rig:
