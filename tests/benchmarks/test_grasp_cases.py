@@ -226,6 +226,25 @@ def test_what_swings_in_the_fingers_is_said_to_be_lost() -> None:
     assert (truth.result.grasped, truth.lost, truth.held) == (True, True, False)
 
 
+@pytest.mark.samples("qb_softhand-*")
+@pytest.mark.parametrize(
+    ("hand", "thing", "width", "force", "numb", "seed"),
+    [
+        # A plate slides out between fingers of one motor, of which one side feels nothing at last.
+        ("qb_softhand", CaseObject.BOX, 0.002, 3.1, False, 1638880023),
+        # A box turns out of them 0.05 s after the result, and they go on pressing on it.
+        ("robotiq_3f", CaseObject.BOX, 0.07, 6.2, False, 2850731547),
+        # Foam goes on turning between two fingers that keep the force.
+        ("amazing_hand", CaseObject.SOFT, 0.045, 1.1, True, 1039299666),
+    ],
+)
+def test_what_does_not_stay_in_the_fingers_is_not_said_to_be_held(
+    hand: str, thing: CaseObject, width: float, force: float, numb: bool, seed: int
+) -> None:
+    truth = try_case(bench(hand, RATE), Case(thing, width, force, None, numb, seed))
+    assert (truth.said, truth.held) == (False, False)
+
+
 def test_a_side_whose_effort_shows_little_of_the_force_holds_as_well() -> None:
     case = Case(CaseObject.BOX, 0.07, 5.1, numb=True, seed=472839231)
     truth = try_case(bench("ability_hand", RATE), case)
