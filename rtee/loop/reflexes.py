@@ -92,6 +92,7 @@ class _LegReactions:
         meeting: Speed of the opening at which the fingers meet an object [m/s].
         around: Whether the fingers are on the path around an object, which ends once one is felt.
         widest: Opening beyond which they touch it elsewhere than with their tips [m].
+        width: Width of the object, if it is known [m].
     """
 
     watched: dict[int, _ApproachingActuator]
@@ -109,6 +110,7 @@ class _LegReactions:
     meeting: float = math.inf
     around: bool = False
     widest: float = math.inf
+    width: float = math.nan
 
     def share(self, measured: Measured) -> float:
         """Return the share of the force to press with.
@@ -119,7 +121,13 @@ class _LegReactions:
         grip = self.grip
         if grip is None or grip.tip_force(measured.touch) == grip.tip_force(measured.touch):
             return 1.0
-        return 1.0 / (1.0 + ELSEWHERE) if grip.opening(measured.position) > self.widest else 1.0
+        opening = grip.opening(measured.position)
+        if not opening > self.widest:
+            return 1.0
+        share = 1.0 / (1.0 + ELSEWHERE)
+        # What keeps tips from all around farther apart than it is wide lies nearer to the fingers'
+        # hinges, where they press that much harder.
+        return min(share, self.width / opening) if grip.around else share
 
 
 class Reflexes:
@@ -279,6 +287,7 @@ class Reflexes:
                 predicted=plan.effort,
                 around=True,
                 widest=-math.inf,
+                width=math.nan if plan.width is None else plan.width,
             )
             share = self._approach.share(measured)
             if together is None and force is not None and share < 1.0:
@@ -319,7 +328,7 @@ class Reflexes:
             at = plan.grip.intensity_at(plan.width or 0.0)
             approach.meeting = meeting_speed(wanted, plan.grip, at, plan.lag)
         if isinstance(plan.to, Around):
-            approach.widest = plan.to.width + MARGIN
+            approach.widest, approach.width = plan.to.width + MARGIN, plan.to.width
         self.active = True
         unknown = [
             self._hand.actuators[i].name for i in watched if self._contact.unknown(i, measured)

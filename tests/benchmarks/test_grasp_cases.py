@@ -76,6 +76,15 @@ def test_a_force_by_sensors_stays_the_requested_one(
     assert truth.result.force == pytest.approx(truth.high, abs=truth.result.force_error)
 
 
+def test_fingers_from_all_around_press_no_harder_on_what_is_near_their_hinges() -> None:
+    case = Case(CaseObject.BOX, 0.0401, 72.0, None, True, seed=774486979)
+    truth = try_case(bench("onrobot_3fg15", RATE), case)
+    assert (truth.said, truth.held) == (True, True)
+    assert truth.result.opening > 1.5 * 0.0401
+    assert truth.peak <= 1.3 * 72.0
+    assert 0.9 * 72.0 <= truth.low <= truth.high <= 1.3 * 72.0
+
+
 def test_the_width_is_that_where_bending_fingers_met_the_object() -> None:
     case = Case(CaseObject.SPHERE, 0.04, 20.0, None, True, seed=1, elements=("finger_2", "thumb"))
     truth = try_case(bench("heri_ii", RATE), case)
