@@ -25,6 +25,7 @@ from rtee.errors import LogError
 from rtee.hand.model import Hand
 from rtee.log.dataset.cameras import cameras_in
 from rtee.log.dataset.convert import Choice, EpisodeBoundary, write_dataset
+from rtee.log.recover import recover
 from rtee.messages.features import ObservedQuantity
 from rtee.messages.schema import parse
 from rtee.types import Event, Goal, Intensity, Named
@@ -210,6 +211,40 @@ def test_goals_are_episodes_and_intensities_actions(demonstrations: Path, tmp_pa
     assert frames_of(tmp_path / "actions")["action"] == pytest.approx(asked)
     tasks = parquet.read_table(tmp_path / "goals/meta/tasks.parquet")
     assert tasks.to_pylist() == [{"task_index": 0, "task": "close"}]
+
+
+def test_an_episode_in_two_parts_is_one_however_they_are_given(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path, max_file_size=20_000))
+    for number in log.ticks(0, 400):
+        if number in (20, 380):
+            log.writer.item(Event("mark", "user", "episode: close", log.time.now), log.time.now)
+    log.writer.close()
+    parts = recorded(tmp_path)
+    assert len(parts) > 2
+    frames = ticks_of(range(20, 380), 25)
+    for number, given in enumerate(([tmp_path], parts, [*reversed(parts), parts[0]])):
+        made = write_dataset(given, tmp_path / f"made{number}", Choice(25))
+        assert made.frames == len(frames) + 5, "until the end of the recording, the second one"
+        state = frames_of(tmp_path / f"made{number}")["observation.state"]
+        assert state[: len(frames), :2] == pytest.approx(
+            np.array([tick(number).position for number in frames])
+        )
+
+
+def test_an_episode_that_is_in_two_files_is_taken_once(
+    demonstrations: Path, tmp_path: Path
+) -> None:
+    """As from a flight recorder, whose file has no session and ends earlier."""
+    once = write_dataset([demonstrations], tmp_path / "once", Choice(25))
+    again = write_dataset([demonstrations, demonstrations], tmp_path / "again", Choice(25))
+    assert (again.episodes, again.frames, again.notes) == (once.episodes, once.frames, once.notes)
+    flight = tmp_path / "claw_flight.mcap"
+    data = demonstrations.read_bytes()
+    flight.write_bytes(data[: int(0.95 * len(data))].replace(b"session", b"another"))
+    recover(flight, in_place=True)
+    both = write_dataset([flight, demonstrations], tmp_path / "both", Choice(25))
+    assert (both.episodes, both.frames) == (once.episodes, once.frames)
+    assert "2 episodes are in several files, and taken once" in both.notes
 
 
 def test_an_episode_of_intensities_is_as_long_as_its_stream(claw: Hand, tmp_path: Path) -> None:

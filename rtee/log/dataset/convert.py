@@ -162,9 +162,9 @@ def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
         av.logging.set_level(av.logging.PANIC)
     if output.exists():
         raise LogError("exists already; give a new folder for the dataset", path=output)
-    files = [paths_of(path) for path in paths]
-    indexes = {path: index_file(path) for parts in files for path in parts}
+    indexes = {part: index_file(part) for path in paths for part in paths_of(path)}
     cameras = cameras_in(indexes, choice.cameras)
+    files = _joined(indexes)
     hands = [parts for parts in files if any(_has_hand(indexes[path]) for path in parts)]
     if not hands:
         raise LogError("contains no recording of a hand", path=paths[0])
@@ -174,6 +174,7 @@ def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
         key=lambda shot: shot.episode.start,
     )
     notes: list[str] = []
+    shots = list(_distinct(shots, notes))
     kept = list(_kept(shots, [(c, c.availability(choice.fps)) for c in cameras], notes))
     if not kept:
         raise LogError(f"no episode remains: {notes[0]}", path=hands[0][0])
@@ -181,6 +182,46 @@ def write_dataset(paths: Sequence[Path], output: Path, choice: Choice) -> Made:
     with replacing(output) as folder:
         _write(folder, kept, features, cameras, choice)
     return Made(len(kept), sum(len(shot.when) for shot in kept), features, tuple(notes))
+
+
+def _joined(indexes: Mapping[Path, FileIndex]) -> list[list[Path]]:
+    """Return the files by recording, whose parts may be given one by one, in any order, or twice.
+
+    Otherwise an episode would end with the part in which it began.
+    """
+    recordings: dict[tuple[str, str], dict[int, Path]] = {}
+    for path, index in indexes.items():
+        # Only recordings on the disk have a session: not the flight recorder's, nor other software.
+        session = index.values.get("session")
+        key = (str(path.resolve()), "") if session is None else (index.hand, session)
+        recordings.setdefault(key, {}).setdefault(int(index.values.get("part", 0)), path)
+    return [[parts[number] for number in sorted(parts)] for parts in recordings.values()]
+
+
+_SAME: Final = SECOND // 1000
+"""Difference of the starts of the same episode in two files [ns]: its times are rounded."""
+
+
+def _distinct(shots: Iterable[_Shot], notes: list[str]) -> Iterator[_Shot]:
+    """Yield the episodes in order of time, each once, the longest of several.
+
+    A flight recorder's file repeats the last half minute of a recording.
+    """
+    last: _Shot | None = None
+    repeated = 0
+    for shot in shots:
+        if last is not None:
+            one, other = last.episode, shot.episode
+            if one.task == other.task and other.start - one.start < _SAME:
+                repeated += 1
+                last = max(last, shot, key=lambda each: each.episode.end)
+                continue
+            yield last
+        last = shot
+    if last is not None:
+        yield last
+    if repeated:
+        notes.append(f"{repeated} episodes are in several files, and taken once")
 
 
 def _has_hand(index: FileIndex) -> bool:
