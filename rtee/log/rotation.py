@@ -17,6 +17,7 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from rtee.errors import LogError
+from rtee.hand.files import failing
 from rtee.log.brief import SECOND
 from rtee.log.record_scanner import parsed
 from rtee.messages.mcap_chunk import MAGIC, records_of
@@ -182,7 +183,7 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -> list[Path]:
-    """Return the files that `read` would read.
+    """Return the files that `read` would read, each once.
 
     Raises:
         LogError: if a folder holds no recording, or the path is no path.
@@ -192,9 +193,11 @@ def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -
             raise LogError("give a recording")
         if not isinstance(path, Sequence) or not all(isinstance(p, (str, Path)) for p in path):
             raise LogError(f"a recording is a path, or a list of paths, not {path!r:.100}")
-        return [Path(each) for each in path]
+        return list({Path(each).resolve(): Path(each) for each in path}.values())
     path = Path(path)
-    if path.is_dir():
+    with failing("cannot be read", path, LogError):
+        folder = path.is_dir()
+    if folder:
         # Not the flight recorder's files, which contain only the time before a fault.
         parts = [file for file in recordings(path) if file.part is not None]
         if not parts:

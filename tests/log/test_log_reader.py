@@ -167,6 +167,16 @@ def test_only_what_is_asked_for_is_read(story: Path) -> None:
             read(story, only=only)  # type: ignore[arg-type]
 
 
+def test_a_name_that_no_file_can_have_is_said() -> None:
+    with pytest.raises(LogError, match="cannot be read: file name too long"):
+        read("a" * 300)
+
+
+def test_a_file_that_is_given_twice_is_read_once(story: Path, tmp_path: Path) -> None:
+    (tmp_path / "link.mcap").symlink_to(story)
+    assert len(read([story, str(story), tmp_path / "link.mcap"]).actuator_states) == 200
+
+
 @pytest.mark.parametrize("path", [3, [3], {"a": 1}, b"x.mcap"])
 def test_what_is_no_path_is_no_recording(path: Any) -> None:
     with pytest.raises(LogError, match="a recording is a path, or a list of paths, not"):
