@@ -385,6 +385,8 @@ def _translated(options: Mapping[str, Any]) -> dict[str, Any]:
         values["kind"] = str(word_of(values["kind"], ActionKind, "kind"))
     if given := values.pop("on_contact", None):
         words = given if isinstance(given, Mapping) else {"": given}
+        if wrong := [finger for finger in words if not isinstance(finger, str)]:
+            raise GoalRejected(f"give on_contact by the name of a finger, not {wrong[0]!r:.100}")
         values["on_contact"] = {
             f: word_of(word, OnContact, "on_contact") for f, word in words.items()
         }

@@ -22,7 +22,7 @@ from rtee.messages.state import State, decode_state
 from rtee.messages.touch import TOUCH, reply_of, touch_of
 from rtee.objects.description import ObjectDescription
 from rtee.remote.counts import Counts, counts_of
-from rtee.remote.goal_values import numbers
+from rtee.remote.goal_values import finite, numbers
 from rtee.remote.hand_info import HandInfo, info_of
 from rtee.remote.link import Link
 from rtee.touch import TouchState
@@ -185,7 +185,7 @@ class Monitoring:
 
     async def _stream(self, rate: float) -> str:
         """Request states at a rate [Hz]; return the topic on which they are published."""
-        fields = {"client": self._link.client, "rate": rate}
+        fields = {"client": self._link.client, "rate": finite(rate, "rate of states")}
         return str((await self._link.ask("stream", fields))["text"])
 
     async def touch_state(self) -> dict[str, TouchState]:

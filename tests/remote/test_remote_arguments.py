@@ -31,6 +31,8 @@ CALLS: list[tuple[Callable[[rtee.RemoteHand], Awaitable[Any]], str]] = [
     (lambda hand: hand.reach(approach=3), "an approach must be three finite numbers, not 3"),
     (lambda hand: hand.reach(fingers=3), "give contacts, or a gripper's pose and a width"),
     (lambda hand: hand.grasp_at(stage="half"), "unknown stage 'half'"),
+    (lambda hand: anext(hand.states(rate="100")), "rate of states must be a finite number, not"),
+    (lambda hand: hand.do("fist", on_contact={3: "stop"}), "by the name of a finger, not 3"),
 ]
 
 
