@@ -160,6 +160,14 @@ def _ranges(numbers: Sequence[int]) -> str:
     return ", ".join(str(n) for n in ordered)
 
 
+_CURES = {
+    "OVERHEATING": "let it cool down",
+    "VOLTAGE": "check its supply",
+    "INPUT_VOLTAGE": "check its supply",
+}
+"""What to do about an error of a servo, by the name of its bit; all others: free the hand."""
+
+
 def fault_of(
     device: str, names: Mapping[int, str], errors: Mapping[int, IntFlag], hint: str
 ) -> DeviceFault:
@@ -169,15 +177,17 @@ def fault_of(
         device: The device's name.
         names: Names of the servos, by id.
         errors: Error bits of each servo that reports any, by id.
-        hint: What to do about them.
+        hint: What `recover` does about them, once their cause is gone.
     """
-    problems, code = [], 0
+    problems, code, cures = [], 0, []
     for number, error in errors.items():
         code |= error
+        cures += [_CURES.get(bit.name or "", "free the hand") for bit in error]
         words = ", ".join(bit.name.lower().replace("_", " ") for bit in error if bit.name)
         # Without a known bit, the servo has only reported that something is wrong.
         problems.append(f"{words or 'alert'} in servo {number} ({names[number]})")
-    return DeviceFault(device, code, "; ".join(problems), hint=hint)
+    what = " and ".join(dict.fromkeys(cures)) or "free the hand and check its supply"
+    return DeviceFault(device, code, "; ".join(problems), hint=f"{what}, then {hint}")
 
 
 class Calibrated(Section, frozen=True):

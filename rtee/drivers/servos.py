@@ -199,7 +199,7 @@ class ServoDriver(Driver, Generic[L]):
         MOST_GAIN: Largest gain [counts].
         STORED: Number of bytes at the beginning of the table that hold a servo's set-up.
         NEAR: Tolerance for the goal read back from a servo without torque [counts].
-        HINT: What to do about the errors that servos report.
+        HINT: What `recover` does about the errors that servos report.
         LOST: What to do about servos that have lost their torque.
         ids: The servos' ids, in the order of the actuators.
         names: Their names by id.

@@ -117,7 +117,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     # No source says whether the goal of a servo without torque follows the shaft. 16 pulses are
     # 1.4°, too little for a harmful jump.
     NEAR = 16
-    HINT = "free the hand and check its supply, then `rtee recover` reboots the servo"
+    HINT = "`rtee recover` reboots the servo"
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)

@@ -61,7 +61,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
     GAINS: ClassVar[Mapping[str, Any]] = {"p": table.P, "i": table.I, "d": table.D}
     MOST_GAIN = table.MOST_GAIN
     STORED = table.RAM
-    HINT = "free the hand and check its supply, then `rtee recover` powers it again"
+    HINT = "`rtee recover` powers it again"
     LOST = "the supply was cut, or the servo has switched off; `rtee recover` powers it again"
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:

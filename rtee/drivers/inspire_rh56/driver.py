@@ -353,6 +353,8 @@ class InspireRh56Driver(Driver):
         hint = "free the finger, then `rtee recover`"
         if together & codec.Error.TOO_HOT:
             hint = "let it cool down, then `rtee recover`; nothing else clears it"
+        elif together == codec.Error.COMMUNICATION:
+            hint = "`rtee recover`; if that does not help, cut the hand's supply for a moment"
         raise self.fault(int(together), "; ".join(names), hint=hint)
 
     async def _read_back(self, link: Rh56Link) -> None:

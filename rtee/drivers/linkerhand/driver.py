@@ -294,6 +294,8 @@ class LinkerHandDriver(Driver):
         hint = "`rtee recover`; if that does not help, cut the hand's supply"
         if codec.Fault.OVER_TEMPERATURE in faulty.values():
             hint = "let it cool down, then `rtee recover`"
+        elif codec.Fault.SUPPLY in faulty.values():
+            hint = "check its supply, then `rtee recover`"
         raise self.fault(max(faulty.values()), "; ".join(names), hint=hint)
 
     async def move(self, reference: Reference) -> None:
