@@ -211,6 +211,14 @@ class DeviceConnection:
         self._behind = bool((near != reference.position).any())
         return replace(reference, position=readonly(near)) if self._behind else reference
 
+    def last(self, reference: Reference) -> Reference:
+        """Return the reference to leave the device with: its last one if it missed some since."""
+        given = self._given
+        if given is None or not (self.counters.in_row or self._behind):
+            return reference
+        position = np.where(np.isnan(given), reference.position, given)
+        return replace(reference, position=readonly(position))
+
     def restart(self, places: Sequence[int]) -> None:
         """Let some of the device's references start anew: they may differ from the last ones."""
         if self._given is not None:
@@ -723,7 +731,8 @@ class Supervisor:
         # An inactive device would refuse the reference, and does not move anyway.
         if not self.active:
             return False
-        await patiently(lambda: self.guarded.move(reference))
+        last = self.connection.last(reference)
+        await patiently(lambda: self.guarded.move(last))
         return True
 
     async def _confirmed(

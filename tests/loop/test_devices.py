@@ -25,7 +25,7 @@ from rtee.errors import (
 )
 from rtee.hand.config_schema import Behaviour, SafetySettings
 from rtee.hand.model import Hand
-from rtee.loop.handloop import HandLoop
+from rtee.loop.handloop import HandLoop, bring_to_rest
 from rtee.loop.settings import LoopSettings
 from rtee.sample import ActuatorState
 from rtee.types import DeviceStatus, Goal, Intensity, Lifecycle, Named, Reference
@@ -112,7 +112,7 @@ async def test_lost_packets_are_counted_and_nothing_else_happens(hand: Hand) -> 
         assert 100 <= stale <= 102
 
 
-@pytest.mark.parametrize("ends", ["goal", "stop"])
+@pytest.mark.parametrize("ends", ["goal", "stop", "run"])
 async def test_after_lost_packets_the_device_catches_up_without_a_jump(
     hand: Hand, ends: str
 ) -> None:
@@ -141,6 +141,11 @@ async def test_after_lost_packets_the_device_catches_up_without_a_jump(
             await rig.run(0.2)
             assert sent[-1].position == pytest.approx([p.position for p in driver.plants])
             assert sent[-1].position == pytest.approx(sent[before].position, abs=0.06)
+        elif ends == "run":
+            driver.errors.clear()
+            assert await bring_to_rest(rig.loop, Behaviour.HOLD, "a test") == [("dummy", True)]
+            assert sent[-1].position == pytest.approx(sent[before].position, abs=0.06)
+            return
         else:
             assert (await rig.result()).reached
         assert (sent[-1].position == rig.loop.snapshot().reference_position).all()
