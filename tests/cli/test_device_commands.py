@@ -116,7 +116,7 @@ def test_a_driver_package_is_written(tmp_path: Path) -> None:
         ["emulate", "robotik"],
         ["emulate", "robotiq_2f", "--set", "x"],
         ["emulate", "dynamixel", "--set", "ids=[300]"],
-        ["emulate", "robotiq_2f", "--link", "/nonexistent/port"],
+        ["emulate", "robotiq_2f", "--link", "/dev/null/port"],
     ],
 )
 def test_mistakes_are_one_sentence(words: list[str]) -> None:
