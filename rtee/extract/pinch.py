@@ -9,7 +9,12 @@ from typing import Final
 import numpy as np
 
 from rtee.actions.types import PrimitiveKind
-from rtee.extract.collision_free import SearchBudget, clear_postures, touching_postures
+from rtee.extract.collision_free import (
+    GOOD,
+    SearchBudget,
+    clear_postures,
+    touching_postures,
+)
 from rtee.extract.collisions import CollisionChecker
 from rtee.extract.descent import Minimum, descend
 from rtee.extract.distance_queries import TOUCH
@@ -33,6 +38,9 @@ _EVALUATIONS: Final = 40
 
 _HOLLOW: Final = 24
 """Maximum number of places at which to measure the distance of hollow tips, to choose starts."""
+
+_LOOKED: Final = 8
+"""Maximum number of further minima that are checked for being clear as they are."""
 
 _MOST: Final[dict[Rank, int]] = {"depth": 2, "opposition": 6}
 """Number of postures to measure and, if distinct, to keep, by rank: the deepest is found early, but
@@ -132,10 +140,31 @@ class PinchSearch:
                 # Reduced margins are only for pinches without a posture of full margins.
                 if any(candidate.margin for candidate in candidates):
                     break
+            deeper = self._candidates(self._clear_as_found(probe, candidates, checker), checker)
+            if deeper:
+                candidates = [probe.best, *deeper, *candidates[1:]][:most]
         # Further deep postures fill the remaining places.
         candidates += self._candidates(probe.postures[1 : most + 1 - len(candidates)], checker)
         names = tuple(finger.name for finger in self._fingers)
         return FoundPinch(probe.kind, names, ranked(self._hand, candidates, self._rank))
+
+    def _clear_as_found(
+        self, probe: PinchProbe, candidates: Sequence[Candidate], checker: CollisionChecker
+    ) -> list[FloatArray]:
+        """Return the deepest other posture that is clear as it is, if it is deeper than those.
+
+        The search for clear postures starts from the deepest minima and takes their constraints
+        along; a minimum elsewhere may need none. Not if a clear posture is nearly the deepest.
+        """
+        least = min((c.gap for c in candidates if c.usable), default=0.0)
+        if least <= GOOD * probe.best.gap:
+            return []
+        for u in probe.postures[1 : 1 + _LOOKED]:
+            if self._pinch.value(self._pinch.space.coordinates(u)) >= least:
+                break
+            if not checker.at(u) and checker.blocked(u) is None:
+                return [u]
+        return []
 
     def _can_separate(self) -> bool:
         """Return whether the tips can separate; tips that always touch are not a pinch."""

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from extract.models import APART, LENGTH, Model, box, figure_3, planar, sphere
+from extract.models import APART, LENGTH, Model, box, figure_3, mesh, planar, sphere
 from rtee.actions.types import Primitive
 from rtee.extract.evidence import Inspector
 from rtee.extract.extraction import extract
@@ -15,6 +15,7 @@ from rtee.extract.pinch import PinchProbe, PinchSearch
 from rtee.extract.ranking import FoundPinch
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
+from rtee.hand.tessellation import binary_stl
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -151,6 +152,52 @@ def test_the_deepest_clear_pose_comes_before_the_deepest(tmp_path: Path) -> None
     assert worst.colliding == (("arm", "post"),)
     assert not worst.clear
     assert not worst.path_clear
+
+
+def phalanx(file: Path, radius: float, length: float) -> str:
+    """Return the mesh of a round bar of eight sides along z with a blunt end, as a shape."""
+    narrow = 0.85 * radius
+    rows = [(0.9 * radius, 0.0), (radius, 0.1 * length), (narrow, length - narrow)]
+    rows += [
+        (narrow * math.cos(t), length - narrow + narrow * math.sin(t)) for t in (0.2, 0.88, 1.57)
+    ]
+    turns = np.exp(2j * np.pi * np.arange(8) / 8)
+    rings = np.array([[(r * c.real, r * c.imag, z) for c in turns] for r, z in rows])
+    ends = [np.broadcast_to(ring.mean(axis=0), (8, 3)) for ring in (rings[0], rings[-1])]
+    skin = np.array([ends[0], *rings, ends[1]])
+    after = np.roll(skin, -1, axis=1)
+    triangles = [(skin[:-1], after[:-1], after[1:]), (skin[:-1], after[1:], skin[1:])]
+    corners = [np.stack(three, axis=2).reshape(-1, 3, 3) for three in triangles]
+    file.write_bytes(binary_stl(np.concatenate(corners)))
+    return mesh(file)
+
+
+def test_a_minimum_that_is_clear_as_it_is_is_not_passed_over(tmp_path: Path) -> None:
+    """The way to the deepest is blocked; what the search makes of that is 6 % shallower."""
+    model = Model().link("palm", box((0.025, 0.08, 0.08), (0, 0, 0.04)))
+    model.joint("stand", "base", "palm", kind="fixed")
+    for name, length, radius in (
+        ("i1", 0.038, 0.007), ("i2", 0.04, 0.0065), ("t1", 0.03, 0.009), ("t2", 0.057, 0.007),
+    ):  # fmt: skip
+        model.link(name, phalanx(tmp_path / f"{name}.stl", radius, length))
+    model.joint("index", "palm", "i1", xyz=(0, -0.03, 0.082), limits=(0, 2.09))
+    follow = '<mimic joint="index" multiplier="1.06" offset="0.72"/>'
+    model.joint("bend", "i1", "i2", xyz=(0, 0, 0.038), limits=(0, 3), mimic=follow)
+    model.joint(
+        "turn", "palm", "t1", xyz=(0.01, -0.034, 0.012), rpy=(0, 0.991, -0.11),
+        axis=(0, 0, 1), limits=(-2.1, 0),
+    )  # fmt: skip
+    model.joint(
+        "thumb", "t1", "t2", xyz=(0, 0, 0.032), rpy=(0.411, -0.383, 0),
+        axis=(1, 0, 0), limits=(0, 2.09),
+    )  # fmt: skip
+    model.finger("index", "i2", "palm").finger("thumb", "t2", "palm")
+    (found,) = pinches(model.load(tmp_path)).values()
+    executed, deepest = found.evidence
+    assert executed.clear
+    assert executed.path_clear
+    assert not deepest.path_clear
+    assert executed.depth > 0.98 * deepest.depth
 
 
 def test_a_pose_behind_an_obstacle_comes_last(tmp_path: Path) -> None:
