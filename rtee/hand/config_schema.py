@@ -559,7 +559,7 @@ class DeviceSection(Section, frozen=True):
     """Actuators that the device drives."""
     every: Annotated[int, Meta(ge=1)] | None = None
     """Exchange with the device every n ticks; unless given, as often as its bus allows."""
-    deadline: Annotated[float, Meta(gt=0, le=10)] | None = None
+    deadline: Positive | None = None
     """Longest time one exchange may take [s]; after three without an answer, and at least half a
     second, the device is lost."""
     reconnect: Literal["inactive", "active"] = "inactive"

@@ -118,10 +118,9 @@ WRONG = [
         "ros2.gripper_joint: unknown actuator 'lft'; did you mean 'left'",
         "ros2",
     ),
-    # millimetres, degrees, milliseconds
+    # millimetres, degrees
     ("devices:", "flange: {xyz: [0, 0, 11]}\ndevices:", "flange.xyz.2: should be less", "flange"),
     ("devices:", "flange: {rpy: [0, 0, 90]}\ndevices:", "flange.rpy.2: should be less", "flange"),
-    ("actuators: all", "deadline: 30", "devices.both.deadline: should be less", "deadline"),
     ("devices:", "profile: {kind: fast}\ndevices:", "profile.kind: should be 'jerk_limited'", None),
 ]
 
