@@ -39,6 +39,9 @@ _ASSUMED_VELOCITY: Final = {
 _MANY_TURNS: Final = 4.0 * math.pi
 """Range of a revolute joint that is likely meant in degrees [rad]: no finger turns twice."""
 
+_LONG_WAY: Final = 1.0
+"""Range of a prismatic joint that is likely meant in millimetres [m]: no jaw slides as far."""
+
 
 @dataclass(frozen=True, slots=True)
 class Overrides:
@@ -103,6 +106,11 @@ def actuator_spec(
         notes.append(
             f"actuator '{joint.name}' goes from {lower:g} to {upper:g} rad, "
             f"{(upper - lower) / math.tau:.1f} turns; are its limits in degrees? URDFs have radians"
+        )
+    if joint.kind == "prismatic" and upper - lower > _LONG_WAY:
+        notes.append(
+            f"actuator '{joint.name}' goes from {lower:g} to {upper:g} m; are its limits in "
+            "millimetres? URDFs have metres"
         )
     acceleration = reader.tighter("acceleration") or velocity / ACCELERATION_TIME
     rest = reader.rest(state, lower, upper)

@@ -72,9 +72,23 @@ def resolve_mesh(
             hint = "; it is an absolute path, perhaps of another computer: give the folder that "
             hint += "has it here by --package-dir"
         else:
-            hint = ""
+            hint = _slip(uri, candidates[0])
         raise ModelError(f"mesh '{uri}' does not exist{hint}", path=urdf, line=line)
     return found
+
+
+def _slip(uri: str, path: Path) -> str:
+    """Return what is likely wrong with a relative path, as the end of a sentence."""
+    if "$(" in uri or "${" in uri:
+        return "; it is left over from a xacro file, which must be expanded"
+    if "\\" in uri:
+        return "; URDFs separate folders by '/'"
+    try:
+        names = [each.name for each in path.parent.iterdir()]
+    except OSError:
+        return ""
+    found = next((name for name in names if name.lower() == path.name.lower()), None)
+    return "" if found is None else f"; did you mean '{found}'?"
 
 
 def _elsewhere(address: str, package_dirs: Sequence[Path | str]) -> Iterator[Path]:

@@ -82,6 +82,21 @@ def test_addresses_that_lead_nowhere(urdf: Path, address: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("address", "hint"),
+    [
+        ("meshes/A.STL", "; did you mean 'a.stl'?"),
+        ("meshes\\a.stl", "; URDFs separate folders by '/'"),
+        ("$(find hand)/a.stl", "; it is left over from a xacro file, which must be expanded"),
+        ("none/b.stl", ""),
+    ],
+)
+def test_slips_in_addresses_are_named(urdf: Path, address: str, hint: str) -> None:
+    put(urdf.parent / "meshes" / "a.stl")
+    with pytest.raises(ModelError, match=re.escape(f"mesh '{address}' does not exist{hint}") + "$"):
+        resolve_mesh(address, urdf)
+
+
+@pytest.mark.parametrize(
     ("name", "content", "why"),
     [
         ("a.stl", b"", "the file is empty"),

@@ -67,6 +67,17 @@ def test_limits_in_degrees_are_noticed(load: Load) -> None:
     assert not [note for note in load().notes if "turns" in note]
 
 
+def test_limits_in_millimetres_are_noticed(load: Load) -> None:
+    def sliding(upper: str) -> list[str]:
+        limits = LIMIT.replace('upper="0.8"', f'upper="{upper}"')
+        hand = load(changed(LIMIT, limits).replace('"revolute"', '"prismatic"', 1))
+        return [note for note in hand.notes if "millimetres" in note]
+
+    (note,) = sliding("40")
+    assert "goes from 0 to 40 m; are its limits in millimetres? URDFs have metres" in note
+    assert sliding("0.04") == []
+
+
 def test_masses_in_grams_are_noticed(load: Load) -> None:
     def weighing(mass: float) -> list[str]:
         inertial = f'<inertial><mass value="{mass}"/></inertial></link>'
