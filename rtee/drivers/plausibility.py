@@ -203,10 +203,11 @@ class Plausibility:
             active: Whether its device drives an actuator; people may move the others.
             reference: Positions sent last [rad | m].
         """
-        last = self._last
+        last, unseen = self._last, self._unseen
         if position != last:  # the only test needed for a hand at rest
             for i, here in enumerate(position):
-                if here != last[i]:
+                # An old position must not make the first new one look like a leap.
+                if here != last[i] and (fresh[i] or i not in unseen):
                     self._moved(i, here, stamp, active[i], reference[i])
                     last[i] = here
                     self._reference[i] = reference[i]

@@ -148,6 +148,10 @@ def _felt(weights: FloatArray, values: FloatArray) -> FloatArray:
     return sums
 
 
+_OLD = 1.0
+"""A state that is collected this much later than usual is not fresh [s]: the loop did not run, and
+people may have moved the hand."""
+
 _GRASPED = {None: -1, False: 0, True: 1}  # a device's report, as `Measured.grasped` has it
 
 
@@ -180,6 +184,8 @@ class StateAggregator:
         self._where = dict(zip((d.name for d in devices), self._indices, strict=True))
         self._whole = len(devices) == 1 and tuple(devices[0].indices) == tuple(range(n))
         self._seen = [0] * len(devices)
+        # A state waits for the next tick, or for the one after it.
+        self._oldest = _OLD + 2.0 / min((d.spec.rate for d in devices), default=1.0)
         self._stamps = [math.nan] * len(devices)
         self._fresh: dict[int, tuple[BoolArray, list[bool]]] = {}
         self._extras: dict[str, Mapping[str, FloatArray]] = {}
@@ -205,7 +211,8 @@ class StateAggregator:
         """Merge the states that arrived since the last call.
 
         Args:
-            stamp: Now [s]; touch readings that are older by `STALE_AFTER` become stale.
+            stamp: Now [s]; touch readings that are older by `STALE_AFTER` become stale, and states
+                that waited for too long are not fresh.
         """
         new = 0
         for k, device in enumerate(self._devices):
@@ -215,7 +222,8 @@ class StateAggregator:
                 self._seen[k] = link.states
                 # One bit per device, so that the flags of each combination are built once. A driver
                 # may return the same measurement again without saying so.
-                new |= (state.fresh and state.stamp != self._stamps[k]) << k
+                late = stamp - link.answered > self._oldest
+                new |= (state.fresh and state.stamp != self._stamps[k] and not late) << k
                 self._stamps[k] = state.stamp
                 self._merge(k, state)
         for name in self._touch.outdate(stamp):

@@ -108,6 +108,7 @@ class DeviceConnection:
         lifecycle: State of the device.
         state: Its newest state, or ``None``.
         states: Number of states that it has returned.
+        answered: When it returned the newest one, by the loop's clock [s].
         activations: Number of times that it became active.
         counters: Counts of exchanges and their errors.
         every: Ticks from one exchange to the next.
@@ -154,7 +155,7 @@ class DeviceConnection:
         self._backoff = BACKOFF[0]
         # Connect at the first tick.
         self._next_at = -math.inf
-        self._answered = -math.inf
+        self.answered = -math.inf
         self._given: FloatArray | None = None
         self._behind = False
         self._said: tuple[str, ...] = ()
@@ -174,7 +175,7 @@ class DeviceConnection:
 
     async def exchange(self, reference: Reference | None) -> None:
         """Read the state, then send the reference if there is one; cannot raise."""
-        before, missed = self._answered, self.counters.in_row
+        before, missed = self.answered, self.counters.in_row
         try:
             # Sense first: the controller's next input must not wait for sending.
             self.accept(await self._driver.sense())
@@ -184,7 +185,7 @@ class DeviceConnection:
             # A request may have made the device inactive since the reference was handed over.
             if reference is not None and self.lifecycle is Lifecycle.ACTIVE:
                 if missed or self._behind:
-                    reference = self._within_reach(reference, self._answered - before)
+                    reference = self._within_reach(reference, self.answered - before)
                 self._given = reference.position
                 await self._driver.move(reference)
         except Exception as error:
@@ -230,7 +231,7 @@ class DeviceConnection:
         """Keep a state that the driver returned."""
         self.state = state
         self.states += 1
-        self._answered = self._now()
+        self.answered = self._now()
         if state.warnings != self._said:
             self._said, known = state.warnings, self._warned
             self._warned = warnings_of(state)
@@ -403,7 +404,7 @@ class DeviceConnection:
         self.counters.in_row += 1
         self.message = _words(error)
         # Both: at 1 kHz, three misses are a hiccup; for a slow device, half a second is one.
-        silence = self._now() - self._answered
+        silence = self._now() - self.answered
         if self.counters.in_row >= 3 and silence >= max(LOST_AFTER, 3 * self.deadline):
             await self._lose(error)
 

@@ -92,3 +92,18 @@ async def test_what_is_held_while_the_loop_did_not_run_stays_held(hand: Hand) ->
         await rig.run(0.5)
         assert rig.loop.controller.reference_position == before
         assert rig.loop.controller.reference_position[0] > 0.75 + 0.1, "it still presses"
+
+
+async def test_a_hand_moved_before_the_first_tick_starts_where_it_is(hand: Hand) -> None:
+    """Hands wait for one another's devices to connect and to home, which takes seconds."""
+    async with running(hand, ticks=0) as rig:
+        for plant, spec in zip(rig.driver.plants, hand.actuators, strict=True):
+            plant.position = plant.target = spec.upper
+        first = rig.clock.next(missed=3000)
+        first.missed = 0  # the clock begins with it
+        rig.loop.tick(first)
+        for _ in range(20):
+            await rig.run(1 / rig.clock.rate)
+            upper = [spec.upper for spec in hand.actuators]
+            assert [plant.target for plant in rig.driver.plants] == upper
+        assert rig.loop.controller.reference_position == upper
