@@ -42,6 +42,12 @@ _HOLLOW: Final = 24
 _LOOKED: Final = 8
 """Maximum number of further minima that are checked for being clear as they are."""
 
+_BEGINS: Final = (4, 8)
+"""Number of the deepest minima that further searches for clear postures leave out."""
+
+_GAIN: Final = 0.01
+"""Share by which a clear posture must be deeper than the first ones to take their place."""
+
 _MOST: Final[dict[Rank, int]] = {"depth": 2, "opposition": 6}
 """Number of postures to measure and, if distinct, to keep, by rank: the deepest is found early, but
 any of them may be the best opposed."""
@@ -140,7 +146,7 @@ class PinchSearch:
                 # Reduced margins are only for pinches without a posture of full margins.
                 if any(candidate.margin for candidate in candidates):
                     break
-            deeper = self._candidates(self._clear_as_found(probe, candidates, checker), checker)
+            deeper = self._candidates(self._clear_elsewhere(probe, candidates, checker), checker)
             if deeper:
                 candidates = [probe.best, *deeper, *candidates[1:]][:most]
         # Further deep postures fill the remaining places.
@@ -148,23 +154,36 @@ class PinchSearch:
         names = tuple(finger.name for finger in self._fingers)
         return FoundPinch(probe.kind, names, ranked(self._hand, candidates, self._rank))
 
-    def _clear_as_found(
+    def _clear_elsewhere(
         self, probe: PinchProbe, candidates: Sequence[Candidate], checker: CollisionChecker
     ) -> list[FloatArray]:
-        """Return the deepest other posture that is clear as it is, if it is deeper than those.
+        """Return a clear posture from elsewhere, if it is deeper than those that were found.
 
         The search for clear postures starts from the deepest minima and takes their constraints
-        along; a minimum elsewhere may need none. Not if a clear posture is nearly the deepest.
+        along; other minima may need none, or lead to deeper ones. Not if a clear posture is nearly
+        the deepest.
         """
-        least = min((c.gap for c in candidates if c.usable), default=0.0)
-        if least <= GOOD * probe.best.gap:
-            return []
-        for u in probe.postures[1 : 1 + _LOOKED]:
-            if self._pinch.value(self._pinch.space.coordinates(u)) >= least:
+        pinch, better = self._pinch, list[FloatArray]()
+        least, good = min((c.gap for c in candidates if c.usable), default=0.0), probe.best.gap
+
+        def deeper(u: FloatArray) -> bool:
+            value = pinch.value(pinch.space.coordinates(u))
+            if value >= (1.0 + _GAIN) * least or checker.at(u):
+                return False
+            return checker.blocked(u) is None
+
+        def improve(postures: Sequence[FloatArray]) -> None:
+            nonlocal least, better
+            if least > GOOD * good and (found := next(filter(deeper, postures), None)) is not None:
+                least, better = pinch.value(pinch.space.coordinates(found)), [found]
+
+        improve(probe.postures[1 : 1 + _LOOKED])
+        for begin in _BEGINS:
+            if least <= GOOD * good or begin >= len(probe.minima):
                 break
-            if not checker.at(u) and checker.blocked(u) is None:
-                return [u]
-        return []
+            starts, motion = probe.minima[begin:], self._inspector.motion
+            improve(clear_postures(pinch, motion, checker, starts, SearchBudget())[:1])
+        return better
 
     def _can_separate(self) -> bool:
         """Return whether the tips can separate; tips that always touch are not a pinch."""
