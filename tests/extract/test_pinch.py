@@ -8,10 +8,11 @@ import pytest
 
 from extract.models import APART, LENGTH, Model, box, figure_3, mesh, planar, sphere
 from rtee.actions.types import Primitive
+from rtee.extract.canonical import canonical
 from rtee.extract.evidence import Inspector
 from rtee.extract.extraction import extract
 from rtee.extract.multi import MultiSearch
-from rtee.extract.pinch import PinchProbe, PinchSearch
+from rtee.extract.pinch import PinchProbe, PinchSearch, pinch_search
 from rtee.extract.ranking import FoundPinch
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
@@ -198,6 +199,37 @@ def test_a_minimum_that_is_clear_as_it_is_is_not_passed_over(tmp_path: Path) -> 
     assert executed.path_clear
     assert not deepest.path_clear
     assert executed.depth > 0.98 * deepest.depth
+
+
+def test_clear_postures_are_sought_from_other_minima_too(tmp_path: Path) -> None:
+    """From the deepest ones, it ends 2 mm deep between two fingers with a third between them."""
+    model = Model().link("palm", box((0.08, 0.09, 0.06), (0, 0, 0.03)))
+    model.joint("stand", "base", "palm", kind="fixed")
+    for finger, y in (("a", -0.03), ("b", 0.0), ("c", 0.03)):
+        parent, place = "palm", (0.0, y, 0.11)
+        for i, (length, axis, limits) in enumerate(
+            (
+                (0.03, (1, 0, 0), (-0.4, 0.4)),
+                (0.038, (0, 1, 0), (0, 2)),
+                (0.038, (0, 1, 0), (-0.1, 1.57)),
+                (0.042, (0, 1, 0), (-0.1, 1.57)),
+            )
+        ):
+            name = f"{finger}{i}"
+            model.link(name, phalanx(tmp_path / f"{name}.stl", 0.0115, length))
+            model.joint(f"{name}_joint", parent, name, xyz=place, axis=axis, limits=limits)
+            parent, place = name, (0.0, 0.0, length)
+        model.finger(finger, parent, "palm")
+    form = canonical(model.load(tmp_path))
+    inspector = Inspector.of(form.hand, form.unit)
+    first, second = (form.hand.finger(name) for name in "ac")
+    search = pinch_search(inspector, first, second, "depth")
+    assert search is not None
+    probe = search.probe()
+    assert probe is not None
+    executed = search.finish(probe).candidates[0]
+    assert executed.usable
+    assert executed.evidence.depth / form.unit > 0.01
 
 
 def test_a_pose_behind_an_obstacle_comes_last(tmp_path: Path) -> None:
