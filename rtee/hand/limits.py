@@ -145,8 +145,11 @@ def actuator_spec(
 def mechanism(actuator: ActuatorSpec, urdf: Urdf) -> Mechanism:
     """Return what an actuator can do by the model, without the limits of hand.yaml."""
     joint = urdf.joints[actuator.name]
-    # 0 means "not given" in a URDF: then hand.yaml completes it instead of tightening it.
-    return Mechanism(joint.lower, joint.upper, joint.effort or actuator.effort)
+    # What the URDF does not give, hand.yaml completes instead of tightening it: the ends of a
+    # continuous joint, and an effort of 0.
+    limited = math.isfinite(joint.upper - joint.lower)
+    lower, upper = (joint.lower, joint.upper) if limited else (actuator.lower, actuator.upper)
+    return Mechanism(lower, upper, joint.effort or actuator.effort)
 
 
 class _LimitReader:

@@ -63,7 +63,7 @@ Message = tuple[int, int, Fields]
 
 
 def read(
-    path: Path | str | Sequence[Path | str],
+    path: Path | str | Iterable[Path | str],
     *,
     series: bool = False,
     only: Iterable[str] | None = None,
@@ -93,7 +93,7 @@ def read_indexed(
 
 
 def windows(
-    path: Path | str | Sequence[Path | str],
+    path: Path | str | Iterable[Path | str],
     *,
     series: bool = False,
     only: Iterable[str] | None = None,

@@ -7,7 +7,7 @@ import fcntl
 import os
 import re
 import stat
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -182,18 +182,20 @@ def parts_of(path: Path) -> list[Path]:
     ]
 
 
-def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -> list[Path]:
+def paths_of(path: Path | str | Iterable[Path | str], *, series: bool = False) -> list[Path]:
     """Return the files that `read` would read, each once.
 
     Raises:
         LogError: if a folder holds no recording, or the path is no path.
     """
     if not isinstance(path, (str, Path)):
-        if not path:
-            raise LogError("give a recording")
-        if not isinstance(path, Sequence) or not all(isinstance(p, (str, Path)) for p in path):
+        several = isinstance(path, Iterable) and not isinstance(path, (bytes, Mapping))
+        files = list(path) if several else []
+        if not several or not all(isinstance(each, (str, Path)) for each in files):
             raise LogError(f"a recording is a path, or a list of paths, not {path!r:.100}")
-        return list({Path(each).resolve(): Path(each) for each in path}.values())
+        if not files:
+            raise LogError("give a recording")
+        return list({Path(each).resolve(): Path(each) for each in files}.values())
     path = Path(path)
     with failing("cannot be read", path, LogError):
         folder = path.is_dir()

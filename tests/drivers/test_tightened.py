@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
+import anyio
 import numpy as np
 import pytest
 import yaml
 
 from rtee.buses.pool import BusPool
+from rtee.buses.simulated_time import SimulatedTimeLoop
+from rtee.drivers.base import Driver
 from rtee.drivers.heri_ethercat.codec import TORQUE_PER_AMPERE
 from rtee.drivers.registry import find_driver
 from rtee.running.prepare import RunOptions, prepare
-from rtee.sample import ActuatorState
+from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
 pytestmark = pytest.mark.anyio
@@ -99,3 +104,61 @@ async def test_boards_of_heri_are_told_the_limit_of_hand_yaml() -> None:
             assert limits == pytest.approx([3.3 / TORQUE_PER_AMPERE] * 4, rel=1e-3)
         finally:
             await driver.close()
+
+
+async def stands(driver: Driver, reference: Sequence[float]) -> FloatArray:
+    """Return where actuators are [rad | m] after a second of references to a place."""
+    for _ in range(100):
+        await driver.sense()
+        await driver.move(Reference.at(reference))
+        await anyio.sleep(0.01)
+    return (await driver.sense()).position
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_what_stands_outside_the_limits_of_hand_yaml_stays_there(name: str, tmp_path: Path) -> None:
+    async def stay(spec: DeviceSpec) -> None:
+        async with BusPool() as pool:
+            driver = find_driver(spec.driver)(spec, pool)
+            try:
+                await driver.configure()
+                if await driver.examine():
+                    await driver.recover()
+                await driver.activate()
+                lower, upper = np.array([(each.lower, each.upper) for each in spec.actuators]).T
+                before = (await driver.sense()).position
+                if ((lower <= before) & (before <= upper)).all():  # where the emulator begins
+                    before = await stands(driver, [spec.mechanism(a).lower for a in spec.actuators])
+                assert ((before < lower) | (before > upper)).any()
+                # A little further: no reference that the device has already.
+                onward = before + 0.02 * (upper - lower) * np.where(before < lower, 1.0, -1.0)
+                after = await stands(driver, onward)
+                assert (np.abs(after - onward) < 0.1 * (upper - lower)).all()
+            finally:
+                await driver.close()
+
+    for spec in tightened(name, tmp_path):
+        with asyncio.Runner(loop_factory=SimulatedTimeLoop) as runner:
+            runner.run(stay(spec))
+
+
+@pytest.mark.parametrize("name", ["robotiq_2f_85", "inspire_rh56"])
+async def test_hand_yaml_gives_a_continuous_joint_its_ends(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / name
+    shutil.copytree(CONFIG / name, folder)
+    file = folder / "hand.yaml"
+    text = yaml.safe_load(file.read_text("utf-8"))
+    [urdf] = folder.glob("*.urdf")
+    model = urdf.read_text("utf-8")
+    [usual] = devices(CONFIG / name)
+    for actuator in usual.actuators:
+        text.setdefault("limits", {}).setdefault(actuator.name, {}).update(
+            lower=actuator.lower, upper=actuator.upper
+        )
+        before = f'<joint name="{actuator.name}" type="revolute"'
+        assert before in model
+        model = model.replace(before, before.replace("revolute", "continuous"))
+    file.write_text(yaml.safe_dump(text), "utf-8")
+    urdf.write_text(model, "utf-8")
+    [turning] = devices(folder)
+    np.testing.assert_allclose((await measured(turning)).position, (await measured(usual)).position)

@@ -320,7 +320,8 @@ class AbilityHandDriver(Driver):
         mask = reference.mask.tolist()
         for i, (motor, sign) in enumerate(zip(self._motors, self._signs, strict=True)):
             if mask[i]:
-                limits = self.spec.actuators[i]
+                # Not hand.yaml's limits: a finger may stand outside them, and must not jump.
+                limits = self.spec.mechanism(self.spec.actuators[i])
                 position = min(max(float(reference.position[i]), limits.lower), limits.upper)
                 self._control.aim(
                     motor,

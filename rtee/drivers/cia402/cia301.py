@@ -87,7 +87,7 @@ class Emergency(Packed):
 
 
 class AbortCode(IntEnum):
-    """AbortCode codes: reasons why a node refuses an SDO transfer."""
+    """Abort codes: reasons why a node refuses an SDO transfer."""
 
     UNSUPPORTED = 0x0601_0000
     READ_ONLY = 0x0601_0002

@@ -242,12 +242,13 @@ class ContactGuide:
             if not math.isfinite(here):
                 self._find(Topic.LIMITS, None, "its position is not known before homing", one.name)
                 continue
-            slack = 0.05 * (one.upper - one.lower)
-            inside = one.lower - slack <= here <= one.upper + slack
+            ends = self._driver.spec.mechanism(one)
+            slack = 0.05 * (ends.upper - ends.lower)
+            inside = ends.lower - slack <= here <= ends.upper + slack
             self._find(
                 Topic.LIMITS,
                 inside,
-                f"it stands at {here:.4f}, between {one.lower:.4f} and {one.upper:.4f}"
+                f"it stands at {here:.4f}, between {ends.lower:.4f} and {ends.upper:.4f}"
                 + ("" if inside else ": beyond the model's limits"),
                 one.name,
             )
@@ -298,6 +299,9 @@ class ContactGuide:
                 ("ruler or gauge block", "finger") if linear else ("protractor", "joint")
             )
             opened, closed = _ends(one)
+            # A person measures from where the mechanism ends, not from hand.yaml's limit.
+            ends = self._driver.spec.mechanism(one)
+            stop = ends.lower if opened == one.lower else ends.upper
             reported, measured = [], []
             for part in _PLACES:
                 here = await self._glide(index, opened + part * (closed - opened))
@@ -310,7 +314,7 @@ class ContactGuide:
                 )
                 if number is None:
                     break
-                reported.append(abs(here - opened) * per)
+                reported.append(abs(here - stop) * per)
                 measured.append(number)
             await self._glide(index, opened + 0.02 * (closed - opened))
             if len(measured) == len(_PLACES):

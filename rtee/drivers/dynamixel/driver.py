@@ -24,7 +24,7 @@ from rtee.drivers.servos import FoundServo, Goals, Readings, ServoCoupling, Serv
 from rtee.drivers.wiring import check_names
 from rtee.errors import BusError, ConfigError
 from rtee.sample import FloatArray
-from rtee.types import DeviceSpec
+from rtee.types import ActuatorSpec, DeviceSpec
 
 
 class DynamixelServo(ServoOptions, frozen=True, kw_only=True):
@@ -225,11 +225,20 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         for scale, actuator, position in zip(
             self.scales, self.spec.actuators, readings.columns[0].tolist(), strict=True
         ):
-            ends = self.spec.mechanism(actuator)
-            scale.unwrap(position, ends.lower, ends.upper)
+            lower, upper = self._turn(actuator, scale)
+            scale.unwrap(position, lower, upper)
         self._use_scales()
         # Already here, since the turn was derived from the limits.
         self._check_places(readings)
+
+    def _turn(self, actuator: ActuatorSpec, scale: ServoScale) -> tuple[float, float]:
+        """Return the positions between which a measured one must lie [rad]."""
+        ends = self.spec.mechanism(actuator)
+        # A mechanism of more than a turn of the servo has two places with one reading: there,
+        # hand.yaml says in which turn the joint is.
+        if ends.upper - ends.lower >= table.PULSES * abs(scale.rad):
+            return actuator.lower, actuator.upper
+        return ends.lower, ends.upper
 
     def _check_range(self, number: int, ends: Sequence[float]) -> None:
         if self._mode is table.Mode.POSITION and not all(0 <= end < table.PULSES for end in ends):

@@ -319,14 +319,14 @@ class HeriEthercatDriver(Driver):
         """Exchange process data with the new references."""
         for i, motor in enumerate(self._motors):
             if reference.mask[i]:
-                actuator = self.spec.actuators[i]
+                # Not hand.yaml's limits: a finger may stand outside them, and must not jump.
+                limits = self.spec.mechanism(self.spec.actuators[i])
                 wanted = float(reference.position[i])
-                self._references[motor] = min(max(wanted, actuator.lower), actuator.upper)
+                self._references[motor] = min(max(wanted, limits.lower), limits.upper)
                 if self.options.limit_torque:
                     limit = max(float(reference.max_effort[i]), 0.0)
                     # The full effort is sent as no limit; the board has its own.
-                    full = self.spec.mechanism(actuator).effort
-                    self._limits[motor] = limit if limit < full else math.inf
+                    self._limits[motor] = limit if limit < limits.effort else math.inf
         await self._exchange()
 
     def _refuse(self) -> None:

@@ -60,10 +60,11 @@ class Person:
             return "y"
         if question.topic is Topic.SCALE and measurable(self.spec):
             one = self.spec.actuators[0]
+            ends = self.spec.mechanism(one)
             per = 1e3 if one.kind is JointKind.PRISMATIC else math.degrees(1.0)
             part = self.truth(self.pool.played(self.spec.owner))
             # A ruler: a fiftieth of the way at best.
-            return f"{round(part * 50) / 50 * (one.upper - one.lower) * per:.2f}"
+            return f"{round(part * 50) / 50 * (ends.upper - ends.lower) * per:.2f}"
         return "n" if question.topic is Topic.FORCE else ""
 
 
@@ -78,9 +79,18 @@ def closed(emulator: Any) -> float:
 
 
 async def played(
-    family: str, *, worn: bool, truth: Callable[[Any], float] = closed, **words: str
+    family: str,
+    *,
+    worn: bool,
+    truth: Callable[[Any], float] = closed,
+    tighter: float = 0.0,
+    **words: str,
 ) -> tuple[ContactReport, Person]:
     spec = spec_of(family, worn=worn)
+    if tighter:  # by a share of its range, in hand.yaml
+        one = spec.actuators[0]
+        limited = replace(one, lower=one.lower + tighter * (one.upper - one.lower))
+        spec = replace(spec, actuators=(limited,), mechanisms={one.name: spec.mechanism(one)})
     async with BusPool(wire_time=False) as pool:
         person = Person(spec, pool, truth, **words)
 
@@ -130,6 +140,13 @@ async def test_a_planted_fault_is_found(
 ) -> None:
     report, _ = await played(family, worn=worn, truth=truth)
     assert refuted(report) == found, text_of(report)
+
+
+@pytest.mark.parametrize("family", ["schunk_egu", "robotiq_2f"])
+async def test_a_person_measures_from_where_the_mechanism_ends(family: str) -> None:
+    report, _ = await played(family, worn=False, tighter=0.25)
+    assert refuted(report) == set(), text_of(report)
+    assert report.verdict(Topic.OFFSET) is Conclusion.CONFIRMED
 
 
 async def test_a_device_is_kept_awake_while_a_person_measures() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from rtee.errors import (
     HandshakeError,
     NotConnected,
 )
-from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Mechanism, Reference
 from tests.drivers.objects import obstruct
 from tests.drivers.use import connecting, lose
 
@@ -191,6 +192,18 @@ async def test_a_joint_across_the_wrap_is_read_in_its_turn() -> None:
         assert line(pool).servos[0].axis.position == pytest.approx(
             4000 - 0.5 / table.RAD_PER_PULSE, abs=3
         )
+
+
+async def test_limits_tell_the_turn_of_a_mechanism_that_has_several() -> None:
+    spec = device(
+        1,
+        limits=(1.0, 6.0),
+        servos={"j0": {"id": 0, "zero": 0}},
+        emulator={"servo": {"start": 5.5 / table.RAD_PER_PULSE}},
+    )
+    wide = replace(spec, mechanisms={"j0": Mechanism(-6.28, 6.28, 0.5)})
+    async with BusPool() as pool, connected(pool, wide) as made:
+        assert (await made.sense()).position[0] == pytest.approx(5.5, abs=table.RAD_PER_PULSE)
 
 
 async def test_a_range_across_the_wrap_is_refused_in_position_mode() -> None:
