@@ -268,7 +268,9 @@ class Plausibility:
                 self._leaping_until[i] = stamp + _AGREEING * max(interval, repeated)
                 low, high = sorted((self._last[i], wanted))
                 beside = self._beside[i]
-                if not low - beside <= here <= high + beside:
+                # After a silence, others may have moved it: this is no glitch.
+                silent = stamp - before > self._limit(i)
+                if not (silent or low - beside <= here <= high + beside):
                     self._astray_until[i] = self._leaping_until[i]
             rest = left + rate * (stamp - before) - travel
             self._left[i] = most if rest > most else rest if rest > 0.0 else 0.0

@@ -151,7 +151,8 @@ def is_pressed(sides: Iterable[float], least: float) -> bool:
 
 def pressing_share(effort: float, weight: float) -> float:
     """Return the part of an effort that presses, net of weight and friction; all [N·m | N]."""
-    return min(max(1.0 - weight / effort, 0.0), 1.0) if effort and weight == weight else 0.0
+    share = 1.0 - weight / effort if effort else 0.0
+    return min(max(share, 0.0), 1.0) if share == share else 0.0
 
 
 def faint(force: float, wanted: float) -> bool:

@@ -76,9 +76,6 @@ _MOVED = 0.01
 """An actuator has moved during a pause if it is measured elsewhere by this share of its range:
 noise, play and a soft object move it less."""
 
-_READ_AGAIN = 0.02
-"""Time after which a device that did not answer is asked again [s]: some exchanges."""
-
 _ROUNDED = 1e-4
 """A position at most this far beyond a limit is a rounding error of the client [rad | m]."""
 
@@ -143,6 +140,7 @@ class HandLoop:
         self._long_pause = round(_LONG_PAUSE * settings.rate)  # in ticks
         self._ended = False
         self._muted: list[str] = []
+        self._unread: list[tuple[Supervisor, int, Sequence[float], str]] = []
 
     @property
     def name(self) -> str:
@@ -202,23 +200,33 @@ class HandLoop:
         stamp = tick.due_ns * 1e-9
         devices, state, controller = self._devices, self._devices.state, self.controller
         # Sense: collect the states that the devices have returned since the last tick.
+        before = controller.measured.position  # replaced, never changed
         state.collect(stamp)
+        if self._unread:
+            self._restart_moved()
         devices.follow(
             lambda command: self._begin(command, tick.number, stamp),
             self._pending.append,
             self._on_lost,
         )
         if tick.missed >= self._long_pause:
-            self._resume(tick.missed)
+            self._resume(tick.missed, before)
         # Start goals and apply commands, in the order of their arrival.
         moves = False
+        waiting: list[tuple[Goal, Plan] | Command] = []
         while self._pending:
             item = self._pending.popleft()
+            # What the loop itself does for safety waits for the devices, unless a stop came.
+            own = isinstance(item, tuple) and item[0].client == ITSELF
+            if own and self._unread and len(self._muted) == len(self._unread):
+                waiting.append(item)
+                continue
             moves |= isinstance(item, tuple | Jog | StreamSample)
             self._begin(item, tick.number, stamp)
         if moves and self._muted:
             # The reference must not move on while no device follows it.
             self._begin(Hold(self._muted[-1]), tick.number, stamp)
+        self._pending += waiting
         # Control: executor, profile and limiter turn goal and state into the reference.
         controller.step(stamp, state.measured)
         if self.settings.safety.idle_disable is not None:
@@ -311,7 +319,7 @@ class HandLoop:
                 if hot.intersection(device.indices):
                     self._start(device.disable, CONFIRM_WITHIN)
 
-    def _resume(self, missed: int) -> None:
+    def _resume(self, missed: int, before: Sequence[float]) -> None:
         """End goals and streams after a long pause; send nothing before devices are read again."""
         reason = f"the loop did not run for {missed / self.settings.rate:.1f} s"
         text = (
@@ -321,27 +329,19 @@ class HandLoop:
         self._observers.event(Event("loop_paused", self.name, text, self._now(), "warning"))
         # After waiting goals: somebody may have asked for them long ago.
         self._pending += (Abort(reason), Hold(reason))
-        before = list(self.controller.measured.position)
         for device in self.devices.values():
             device.muted += 1
             self._muted.append(reason)
-            self._start(self._restart_moved, device, before, reason)
+            # The first state may have been measured before the pause.
+            self._unread.append((device, device.connection.states + 2, before, reason))
 
-    async def _restart_moved(
-        self, device: Supervisor, before: Sequence[float], reason: str
-    ) -> None:
-        """Read a device again, then start the references of what has moved where it is measured.
-
-        What has not moved keeps its reference, and thereby its grip on an object.
-
-        Args:
-            device: The device, which gets no references until then.
-            before: Positions measured before [rad | m].
-            reason: Why, for goals that began meanwhile.
-        """
-        try:
-            while device.active and not await device.read(CONFIRM_WITHIN):  # noqa: ASYNC110 - no event
-                await anyio.sleep(_READ_AGAIN)
+    def _restart_moved(self) -> None:
+        """Start the references of what has moved during a pause where it is measured."""
+        unread, self._unread = self._unread, []
+        for device, enough, before, reason in unread:
+            if device.active and device.connection.states < enough:
+                self._unread.append((device, enough, before, reason))
+                continue
             if moved := self._moved(device, before):
                 # As after activation: whoever moved it may have moved it anywhere.
                 self._pending += (
@@ -349,7 +349,6 @@ class HandLoop:
                     SetActive(dict.fromkeys(moved, False)),
                     SetActive(dict.fromkeys(moved, True)),
                 )
-        finally:
             device.muted -= 1
             self._muted.remove(reason)
 
@@ -362,7 +361,14 @@ class HandLoop:
             spec = self.hand.actuators[i]
             span = spec.upper - spec.lower
             # An actuator without limits has no range; 1 rad is a typical one.
-            if abs(here - before[i]) > _MOVED * (span if math.isfinite(span) else 1.0):
+            beside = _MOVED * (span if math.isfinite(span) else 1.0)
+            # On its way to the reference, it has only followed it, or a soft object has yielded.
+            low, high = sorted((before[i], self.controller.reference_position[i]))
+            if (
+                not low - beside <= here <= high + beside
+                and here == here
+                and before[i] == before[i]
+            ):
                 moved.append(spec.name)
         return moved
 
@@ -488,15 +494,19 @@ class HandLoop:
     async def keep(self, reason: str = "") -> list[tuple[str, bool]]:
         """Send every device a last reference: the measured posture, or the grip on its object.
 
-        No references are sent afterwards, though the loop may still tick. Returns the same as
-        `stop`.
+        No references are sent afterwards, though the loop may still tick. A device that was not
+        read since a pause of the loop is stopped where it is. Returns the same as `stop`.
         """
         posture = self.controller.starts.posture_to_keep()
         effort = self.controller.reference_effort
+        record = self._record
+        paused = record is not None and self._now() - record.stamp >= _LONG_PAUSE
+        unread = {unread.name for unread, *_ in self._unread}
 
         async def keep(device: Supervisor, within: float) -> bool:
             position = [posture[i] for i in device.indices]
-            if not all(map(math.isfinite, position)):
+            known = not paused and device.name not in unread
+            if not (known and all(map(math.isfinite, position))):
                 return device.active and await device.stop(within)
             last = Reference.at(position, max_effort=[effort[i] for i in device.indices])
             return await device.hold(last, within)

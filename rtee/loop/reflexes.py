@@ -127,7 +127,7 @@ class _LegReactions:
         share = 1.0 / (1.0 + ELSEWHERE)
         # What keeps tips from all around farther apart than it is wide lies nearer to the fingers'
         # hinges, where they press that much harder.
-        return min(share, self.width / opening) if grip.around else share
+        return min(share, self.width / opening) if grip.around and opening > self.width else share
 
 
 class Reflexes:

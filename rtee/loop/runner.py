@@ -13,6 +13,10 @@ from typing import Any
 
 Work = Coroutine[Any, Any, object]
 
+_LATE = 0.1
+"""Time after its deadline [s] at which work is late: ticks that check it come more often, so the
+process had stopped, or the computer was too busy."""
+
 _ABANDON_AFTER = 1.0
 """Time after its deadline at which work that is still running is abandoned [s]: clean-up that waits
 for a bus takes a few hundredths."""
@@ -112,8 +116,8 @@ class Runner:
 
     @property
     def late(self) -> bool:
-        """Whether the deadline of the present work has passed, before or after `check` saw it."""
-        return self._until < math.inf and self._now() >= self._until
+        """Whether the deadline of the present work passed long ago: `check` had no chance."""
+        return self._until < math.inf and self._now() - self._until >= _LATE
 
     @asynccontextmanager
     async def guard(self) -> AsyncIterator[None]:

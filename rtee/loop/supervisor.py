@@ -150,7 +150,7 @@ class DeviceConnection:
         self._now = now
         # Only the first time: a device that reconnects must not move until somebody recovers it.
         self._activate_on_connect = True
-        self._linked_before = False
+        self._linked_before = self._given_up = False
         self._reported = ""
         self._backoff = BACKOFF[0]
         # Connect at the first tick.
@@ -319,8 +319,11 @@ class DeviceConnection:
         self._backoff = BACKOFF[0]
         try:
             if self.lifecycle is Lifecycle.UNCONFIGURED:
+                self._given_up = False
                 await self._configure()
                 self._linked("")
+                if self._given_up:
+                    raise RteeError("'recover' was interrupted")
             # A device that was disabled in fault is inactive, and its fault is still there.
             if self.fault is not None:
                 await self._driver.recover()
@@ -334,6 +337,7 @@ class DeviceConnection:
 
     def give_up_activation(self) -> None:
         """Leave a device inactive that has never been connected, until `recover`."""
+        self._given_up = True
         # Later activations never home, and so move nothing.
         if not self._linked_before:
             self._activate_on_connect = False
@@ -682,10 +686,6 @@ class Supervisor:
         """Send a last reference. Returns the same as `stop`."""
         return await self._confirmed("hold", lambda: self._send_last(reference), within)
 
-    async def read(self, within: float) -> bool:
-        """Read the device's state anew within a time [s]; return whether it answered."""
-        return await self._confirmed("read", self._read, within)
-
     async def recover(self) -> None:
         """Bring the device out of a fault, or connect and activate it, without moving it.
 
@@ -722,9 +722,6 @@ class Supervisor:
     async def _disable(self) -> None:
         await patiently(self.guarded.disable)
         self.connection.deactivated("it was disabled")
-        self.connection.accept(await patiently(self.guarded.sense))
-
-    async def _read(self) -> None:
         self.connection.accept(await patiently(self.guarded.sense))
 
     async def _send_last(self, reference: Reference) -> bool:
@@ -773,8 +770,8 @@ class Supervisor:
             self._requests.appendleft(request)
         else:
             self._requests.append(request)
-        if self._runner.idle:
-            self._runner.start(self._serve_requests())
+        if self._runner.idle and self._runner.start(self._serve_requests()):
+            self._runner.end()  # all were served inside of the call: no deadline may stay
         return await request.answer
 
     async def _serve_requests(self) -> None:
