@@ -247,7 +247,14 @@ def test_efforts_of_fingers_that_stand_still(
 
 @pytest.mark.parametrize(
     ("effort", "weight", "share"),
-    [(4.0, 1.0, 0.75), (-4.0, -1.0, 0.75), (1.0, 2.0, 0.0), (1.0, -1.0, 1.0), (0.0, 1.0, 0.0)],
+    [
+        (4.0, 1.0, 0.75),
+        (-4.0, -1.0, 0.75),
+        (1.0, 2.0, 0.0),
+        (1.0, -1.0, 1.0),
+        (0.0, 1.0, 0.0),
+        (NAN, 1.0, 0.0),
+    ],
 )
 def test_the_share_of_an_effort_that_presses(effort: float, weight: float, share: float) -> None:
     assert rules.pressing_share(effort, weight) == share

@@ -19,8 +19,10 @@ from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop.controller import Controller
 from rtee.loop.free_motion import FreeMotion
+from rtee.loop.grip import ELSEWHERE, Grip
 from rtee.loop.measured import Measured
 from rtee.loop.planning import make_plan
+from rtee.loop.reflexes import _LegReactions
 from rtee.loop.settings import LoopSettings
 from rtee.loop.tip_levers import TipLevers
 from rtee.messages import GOAL, RESULT
@@ -415,6 +417,17 @@ def test_without_an_opening_a_contact_is_a_force_at_the_fingertip(
     growth = max(growth, pushes[-1] - pushes[-2])
     assert force * lever <= pushes[-1] + growth
     assert pushes[-1] <= 1.1 * force * lever + 3.0 * growth
+
+
+def test_from_crossed_fingertips_a_goal_presses_as_where_fingers_touch_elsewhere() -> None:
+    grip = Grip(
+        (0,), (0.0,), (1.0,), (0.0, 1.0), (0.1, 0.0), ((0.1,), (0.1,)), (0.0,), (1.0,), (0,), (1,),
+        around=True,
+    )  # fmt: skip
+    reactions = _LegReactions({}, grip=grip, widest=-math.inf, width=0.02)
+    for position, share in ((1.5, 1.0 / (1.0 + ELSEWHERE)), (0.6, 0.5)):  # crossed; 40 mm apart
+        measured = Measured([position], [NAN], [NAN], [True], [-1])
+        assert reactions.share(measured) == pytest.approx(share)
 
 
 positive = st.floats(0.01, 1.0)
