@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from patient import patient_gripper
 
 from rtee.errors import ConfigError
 from rtee.remote.directory import VARIABLE, running
@@ -22,8 +23,7 @@ import rtee
 def pick(effort):
     """What the application does with a gripper, wherever that is."""
     with rtee.connect_blocking(client="picker") as hand:
-        result = hand.do("grasp", effort=effort)
-        return result.grasped, hand.name
+        return hand.do("grasp", effort=effort).outcome, hand.name
 
 async def pick_async():
     async with rtee.connect("robotiq_2f_85") as hand:
@@ -54,10 +54,10 @@ def until(true):
 
 def test_a_part_is_pulled_out_and_the_cable_too(rtee_hand):
     hand = rtee_hand("robotiq_2f_85")
-    assert application.pick(1.0) == (False, "robotiq_2f_85")  # nothing is there to pick
+    assert application.pick(1.0) == ("reached", "robotiq_2f_85")  # nothing is there to pick
     assert hand.open().reached
     hand.place("50mm")
-    assert application.pick(0.5) == (True, "robotiq_2f_85")
+    assert application.pick(0.5) == ("held", "robotiq_2f_85")
     closed = hand.state().position[0]
     hand.take_away()
     until(lambda: hand.state().position[0] > closed + 0.05)
@@ -92,7 +92,10 @@ def test_none_is_left(rtee_hand):
 
 def test_a_project_tests_its_application(pytester: pytest.Pytester, repository: Path) -> None:
     pytester.makepyfile(application=APPLICATION, test_application=TESTS)
-    (pytester.path / "config").symlink_to(repository / "config")
+    config = pytester.path / "config"
+    config.mkdir()
+    patient_gripper(config, repository)
+    (config / "schunk_svh").symlink_to(repository / "config/schunk_svh")
     done = pytester.runpytest_subprocess("-q", "-W", "error", "-p", "no:cacheprovider", timeout=280)
     done.assert_outcomes(passed=4)
 
