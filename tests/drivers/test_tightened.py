@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import math
 import shutil
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import anyio
 import numpy as np
@@ -52,14 +54,21 @@ def tightened(name: str, tmp_path: Path) -> list[DeviceSpec]:
     return devices(folder)
 
 
-async def measured(spec: DeviceSpec) -> ActuatorState:
+@asynccontextmanager
+async def configured(spec: DeviceSpec) -> AsyncIterator[tuple[Driver, Any]]:
+    """Yield a configured driver and its emulator."""
     async with BusPool() as pool:
         driver = find_driver(spec.driver)(spec, pool)
         try:
             await driver.configure()
-            return await driver.sense()
+            yield driver, pool.played(spec.owner)
         finally:
             await driver.close()
+
+
+async def measured(spec: DeviceSpec) -> ActuatorState:
+    async with configured(spec) as (driver, _):
+        return await driver.sense()
 
 
 @pytest.mark.parametrize("name", HANDS)
@@ -73,17 +82,12 @@ async def test_a_device_measures_the_same_with_tighter_limits(name: str, tmp_pat
 async def test_half_the_effort_in_hand_yaml_is_half_the_torque_of_a_motor(tmp_path: Path) -> None:
     [spec] = tightened("linkerhand_o6", tmp_path)
     full = [actuator.effort for actuator in spec.actuators]
-    async with BusPool() as pool:
-        driver = find_driver(spec.driver)(spec, pool)
-        try:
-            await driver.configure()
-            await driver.activate()
-            upper = [actuator.upper for actuator in spec.actuators]
-            await driver.move(Reference.at(upper, max_effort=full))
-            # 255 is the full torque.
-            assert pool.played(spec.owner).begun == [128] * 6  # type: ignore[attr-defined]
-        finally:
-            await driver.close()
+    async with configured(spec) as (driver, emulator):
+        await driver.activate()
+        upper = [actuator.upper for actuator in spec.actuators]
+        await driver.move(Reference.at(upper, max_effort=full))
+        # 255 is the full torque.
+        assert emulator.begun == [128] * 6
 
 
 async def test_boards_of_heri_are_told_the_limit_of_hand_yaml() -> None:
@@ -92,18 +96,12 @@ async def test_boards_of_heri_are_told_the_limit_of_hand_yaml() -> None:
     spec = device.spec
     efforts = [actuator.effort for actuator in spec.actuators]
     assert efforts == [3.3] * 4, "the URDF has 5.3 N·m, for a moment"
-    async with BusPool() as pool:
-        driver = find_driver(spec.driver)(spec, pool)
-        try:
-            await driver.configure()
-            await driver.activate()
-            upper = [actuator.upper for actuator in spec.actuators]
-            await driver.move(Reference.at(upper, max_effort=efforts))
-            boards = pool.played(spec.owner).boards  # type: ignore[attr-defined]
-            limits = [motor.max_effort for board in boards for motor in board.motors]
-            assert limits == pytest.approx([3.3 / TORQUE_PER_AMPERE] * 4, rel=1e-3)
-        finally:
-            await driver.close()
+    async with configured(spec) as (driver, emulator):
+        await driver.activate()
+        upper = [actuator.upper for actuator in spec.actuators]
+        await driver.move(Reference.at(upper, max_effort=efforts))
+        limits = [motor.max_effort for board in emulator.boards for motor in board.motors]
+        assert limits == pytest.approx([3.3 / TORQUE_PER_AMPERE] * 4, rel=1e-3)
 
 
 async def stands(driver: Driver, reference: Sequence[float]) -> FloatArray:
@@ -118,26 +116,25 @@ async def stands(driver: Driver, reference: Sequence[float]) -> FloatArray:
 @pytest.mark.parametrize("name", HANDS)
 def test_what_stands_outside_the_limits_of_hand_yaml_stays_there(name: str, tmp_path: Path) -> None:
     async def stay(spec: DeviceSpec) -> None:
-        async with BusPool() as pool:
-            driver = find_driver(spec.driver)(spec, pool)
-            try:
-                await driver.configure()
-                if await driver.examine():
-                    await driver.recover()
-                await driver.activate()
-                lower, upper = np.array([(each.lower, each.upper) for each in spec.actuators]).T
-                before = (await driver.sense()).position
-                if ((lower <= before) & (before <= upper)).all():  # where the emulator begins
-                    before = await stands(driver, [spec.mechanism(a).lower for a in spec.actuators])
-                assert ((before < lower) | (before > upper)).any()
-                # A little further: no reference that the device has already.
-                onward = before + 0.02 * (upper - lower) * np.where(before < lower, 1.0, -1.0)
-                after = await stands(driver, onward)
-                assert (np.abs(after - onward) < 0.1 * (upper - lower)).all()
-            finally:
-                await driver.close()
+        async with configured(spec) as (driver, _):
+            if await driver.examine():
+                await driver.recover()
+            await driver.activate()
+            lower, upper = np.array([(each.lower, each.upper) for each in spec.actuators]).T
+            before = (await driver.sense()).position
+            if ((lower <= before) & (before <= upper)).all():  # where the emulator begins
+                before = await stands(driver, [spec.mechanism(a).lower for a in spec.actuators])
+            assert ((before < lower) | (before > upper)).any()
+            # A little further: no reference that the device has already.
+            onward = before + 0.02 * (upper - lower) * np.where(before < lower, 1.0, -1.0)
+            after = await stands(driver, onward)
+            assert (np.abs(after - onward) < 0.1 * (upper - lower)).all()
 
-    for spec in tightened(name, tmp_path):
+    specs = tightened(name, tmp_path)
+    if name == "heri_ii":  # over its boards' wire, too
+        options = RunOptions(driver="heri_ethercat", emulated=True, ideal=True, rate=100.0)
+        specs += [device.spec for device in prepare(str(tmp_path / name), options).devices]
+    for spec in specs:
         with asyncio.Runner(loop_factory=SimulatedTimeLoop) as runner:
             runner.run(stay(spec))
 

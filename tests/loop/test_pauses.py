@@ -164,6 +164,21 @@ async def test_a_hand_opens_for_a_client_that_was_lost_in_a_pause(hand: Hand) ->
         assert rig.watcher.results[-1].reached
 
 
+async def test_a_stop_comes_before_an_opening_that_still_waits_for_its_device(hand: Hand) -> None:
+    safety = SafetySettings(on_client_lost=Behaviour.OPEN)
+    async with pausing(hand, safety, every=50, deadline=0.5) as rig:
+        rig.driver.sense_time, rig.driver.stop_time = 0.004, 0.05  # the stop takes some ticks
+        assert await rig.fist()
+        await anyio.sleep(2.0)  # its motors lag behind their references
+        at = rig.driver.positions
+        await rig.clock.pause(5.0, -0.01)
+        rig.loop.client_lost("gone")
+        await anyio.sleep(0.012)  # the loop runs again, and its device is read each half second
+        assert await rig.loop.stop() == [("dummy", True)]
+        await anyio.sleep(3.0)
+        assert rig.driver.positions == pytest.approx(at, abs=1e-3)
+
+
 @pytest.mark.parametrize("after", [-0.01, 0.011])
 async def test_a_run_that_ends_before_its_device_is_read_holds_no_posture_from_before_a_pause(
     hand: Hand, after: float
