@@ -64,6 +64,7 @@ class Emulator(ABC):
         parser: Finds the host's frames in the bytes of a line.
         faults: Faults injected at present.
         wear: Deviations of this emulator from the data sheet.
+        echo: Whether the host's adapter returns what the host sends, as some on two-wire lines do.
         fresh: Whether no program has received an answer since the line was connected.
     """
 
@@ -79,6 +80,7 @@ class Emulator(ABC):
     duplex: ClassVar[Duplex] = Duplex.HALF
     axes: Sequence[Any] = ()
     parser: Parser[Any] | None = None
+    echo: bool = False
 
     def __init__(self) -> None:
         self.faults: set[str] = set()

@@ -104,7 +104,8 @@ class Wire(Schedule[bytes]):
         spoken: Bit rate at which the host sends [bit/s]; devices with another one receive nothing.
             ``None``: all devices receive.
         bits: Bits on the line per byte.
-        garbles: Whether the line damages a worn device's first answer; a network does not.
+        adapter: Whether an adapter connects the host to the line: it may damage a worn device's
+            first answer, or return what the host sends. A network has none.
         faults: Faults of the line.
         busy: Total time so far in which a message or a turn-around was in progress [s]. Together
             with the silence that the host keeps, this is the shortest time for a program that waits
@@ -123,11 +124,11 @@ class Wire(Schedule[bytes]):
         faults: Faults | None = None,
         timed: bool = True,
         duplex: Duplex | None = None,
-        garbles: bool = True,
+        adapter: bool = True,
     ) -> None:
         super().__init__(emulators, faults)
         self.timed = timed
-        self.garbles = garbles
+        self.adapter = adapter
         self._duplex = duplex
         self.baudrate = baudrate if timed else None
         self.spoken: int | None = None
@@ -152,6 +153,9 @@ class Wire(Schedule[bytes]):
         if self.duplex is Duplex.HALF:
             self._outward = end
         self._count(start, end)
+        if self.adapter and any(emulator.echo for emulator in self.emulators):
+            # A byte is received while it is sent, so the echo takes no further time.
+            self._put(end, False, data)
         pieces = self.faults.apply(data) if self.faults.requests else [(0.0, data)]
         for late, piece in pieces:
             self._put(end + late, True, piece)
@@ -175,7 +179,7 @@ class Wire(Schedule[bytes]):
         if messages and emulator.fresh:
             emulator.fresh = False
             turnaround += emulator.wear.late
-            if emulator.wear.garbled and self.garbles:
+            if emulator.wear.garbled and self.adapter:
                 messages = [bytes([messages[0][0] ^ 0xFF]) + messages[0][1:], *messages[1:]]
         for answer in messages:
             # The turn-around counts as busy, since the host cannot use that time.

@@ -58,6 +58,8 @@ class SerialBus(Bus):
         self._answer: asyncio.Future[Any] | None = None
         self._parser: Parser[Any] | None = None
         self._accept: Callable[[Any], bool] | None = None
+        self._encode: Callable[[Any], bytes] | None = None
+        self._echo = _Echo()
         self._listener: Callable[[bytes], None] | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._pause = Pause()
@@ -71,6 +73,7 @@ class SerialBus(Bus):
         retries: int = 1,
         *,
         accept: Callable[[F], bool] | None = None,
+        encode: Callable[[F], bytes] | None = None,
         whom: str = "",
     ) -> F:
         """Send a request and return the frame that answers it.
@@ -82,6 +85,9 @@ class SerialBus(Bus):
                 line [s].
             retries: How often the request may be sent again within that time.
             accept: Returns whether a frame is the answer; others are counted as strays.
+            encode: Returns the bytes of a frame, for protocols whose requests have the form of
+                answers: then an adapter's echo of the request does not count as its answer. The
+                first request after connecting must be one whose answer differs from it.
             whom: Name of the device for error messages, on a line with several devices.
 
         Raises:
@@ -113,7 +119,7 @@ class SerialBus(Bus):
                     counters.retries += 1
                 try:
                     # A future instead of a coroutine saves an iteration of the event loop.
-                    frame = await self._ask(request, parser, share, accept)
+                    frame = await self._ask(request, parser, share, accept, encode)
                 finally:
                     self._asked()
                 if frame is not _NOTHING:
@@ -137,6 +143,7 @@ class SerialBus(Bus):
         parser: Parser[F],
         share: float,
         accept: Callable[[F], bool] | None,
+        encode: Callable[[F], bytes] | None,
     ) -> asyncio.Future[Any]:
         """Send a request and return the future of its answer: `_NOTHING` after a timeout."""
         parser.reset()
@@ -154,6 +161,9 @@ class SerialBus(Bus):
                 if self._not_silent(ask):
                     return
             self._parser, self._accept = parser, accept
+            if encode is not None and self._echo.possible:
+                self._encode = encode
+                self._echo.begin(data, self.counters.bytes_received)
             self._write(data)
 
         ask()
@@ -171,7 +181,7 @@ class SerialBus(Bus):
         return True
 
     def _asked(self) -> None:
-        self._answer = self._parser = self._accept = None
+        self._answer = self._parser = self._accept = self._encode = None
         if self.gap:
             self._pause.cancel()
         if self._timer is not None:
@@ -234,10 +244,17 @@ class SerialBus(Bus):
                 self._listener(data)
             return
         for frame in self._parser.feed(data):
-            if self._answer.done() or (self._accept is not None and not self._accept(frame)):
+            mine = not self._echoed(frame) and (self._accept is None or self._accept(frame))
+            if self._answer.done() or not mine:
                 self.counters.strays += 1
             else:
+                if self._encode is not None:
+                    self._echo.answered(self._encode(frame), self.counters.bytes_received)
                 self._answer.set_result(frame)
+
+    def _echoed(self, frame: Any) -> bool:
+        """Return whether a frame is the adapter's echo of the request."""
+        return self._encode is not None and self._echo.returned(self._encode(frame))
 
     def _lost(self, protocol: asyncio.Protocol, error: Exception | None) -> None:
         # A late report about an earlier link is ignored.
@@ -249,6 +266,7 @@ class SerialBus(Bus):
 
     async def _open(self) -> None:
         await self._close()
+        self._echo = _Echo()
         transport, protocol = await open_link(
             self._address(),
             self.line,
@@ -269,6 +287,40 @@ class SerialBus(Bus):
         if transport is not None:
             transport.abort()
             await ended(transport)
+
+
+class _Echo:
+    """Decides whether an adapter returns what the host sends, as some on two-wire lines do.
+
+    A frame that equals the request is its echo, unless the adapter is known to return nothing: some
+    answers equal their request.
+
+    Attributes:
+        possible: Whether the adapter may return what is sent.
+    """
+
+    def __init__(self) -> None:
+        self.possible = True
+        self._seen = False
+        self._request = b""
+        self._before = 0
+
+    def begin(self, request: bytes, received: int) -> None:
+        """Record a request, and the number of bytes received before it."""
+        self._request, self._before = request, received
+
+    def returned(self, raw: bytes) -> bool:
+        """Return whether a frame with these bytes is the echo of the request."""
+        if not self.possible or raw != self._request:
+            return False
+        self._request = b""  # an equal frame that follows is the answer
+        self._seen = True
+        return True
+
+    def answered(self, raw: bytes, received: int) -> None:
+        """Record the bytes of an answer, and the number of bytes received by then."""
+        # With an echo, even a damaged one, there would be more bytes than those of the answer.
+        self.possible = self._seen or received - self._before > len(raw)
 
 
 class _Protocol(asyncio.Protocol):

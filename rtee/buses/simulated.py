@@ -253,7 +253,7 @@ class SimulatedLine(Simulation):
             faults=faults,
             timed=wire_time,
             duplex=Duplex.FULL if network else None,
-            garbles=not tcp,
+            adapter=not tcp,
         )
         self._end: Pty | Tcp | DirectEnd
         if self._loop is not None:

@@ -26,6 +26,9 @@ OPTION = "object"
 WEAR = "wear"
 """The property of every emulated device that makes it worn or ideal."""
 
+ECHO = "echo"
+"""The property of every emulated device on a line whose adapter returns what the host sends."""
+
 IDEAL_STATE, WORN_STATE = "ideal", "worn"
 """Values of `WEAR`: as in the data sheet, or as known from real devices."""
 
@@ -221,6 +224,9 @@ def made_by(kind: type[Emulator], options: Mapping[str, Any]) -> Emulator:
     properties = dict(options.get("emulator") or {})
     # Removed, since the emulator would refuse a name that is not a property of its device.
     given, state = properties.pop(OPTION, None), properties.pop(WEAR, IDEAL_STATE)
+    echo = properties.pop(ECHO, False)
+    if not isinstance(echo, bool):
+        raise ConfigError(f"the emulated device's echo is '{echo}'; write true or false")
     make: Callable[..., Emulator] = kind
     if kind.PROPERTIES is None:
         emulator = make()
@@ -233,6 +239,7 @@ def made_by(kind: type[Emulator], options: Mapping[str, Any]) -> Emulator:
             if isinstance(error, ConfigError):
                 raise
             raise ConfigError(f"a device cannot have these properties: {error}") from error
+    emulator.echo = echo
     if state != IDEAL_STATE:
         wear_down(emulator, _wear_of(kind, state))
     if given is not None:

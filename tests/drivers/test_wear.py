@@ -76,7 +76,7 @@ def test_it_warms_up_while_it_waits() -> None:
 @pytest.mark.parametrize("network", [False, True])
 def test_the_first_answer_is_late_and_on_a_line_damaged(network: bool) -> None:
     gripper = make_emulator("robotiq_2f", {"port": "/dev/x", "emulator": {"wear": "worn"}})
-    wire = Wire([gripper], timed=False, garbles=not network)
+    wire = Wire([gripper], timed=False, adapter=not network)
     wire.reset()
     answers = []
     for at in (1.0, 2.0):

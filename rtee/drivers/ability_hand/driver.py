@@ -181,6 +181,8 @@ class AbilityHandDriver(Driver):
             options.port,
             lambda bus: bus,
             baudrate=options.baudrate,
+            # A reply does not identify its request, so a late one could be taken for the next.
+            fresh=True,
         )
         with self.identifying(
             "an Ability Hand",

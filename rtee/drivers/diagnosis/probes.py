@@ -162,12 +162,12 @@ def linkerhand() -> Probe:
 
 def svh() -> Probe:
     """Return a probe for the SCHUNK SVH."""
-    from rtee.drivers.schunk_svh.codec import BAUDRATE
+    from rtee.drivers.schunk_svh.codec import BAUDRATE, NAME
     from rtee.drivers.schunk_svh.link import SvhLink
 
     async def listen(bus: SerialBus, address: str) -> list[Found]:
         info = await heard(SvhLink(bus, 0.15, 1).firmware())
-        if info is None:
+        if info is None or info.name != NAME:
             return []
         what = f"SCHUNK SVH, firmware {info.major}.{info.minor}"
         return [Found("schunk_svh", what, {"port": address})]

@@ -1,8 +1,8 @@
 """Emulates a line of Feetech servos, all of one family.
 
-Properties set what sources leave open: whether servos answer a sync read in families for which that
-is not known, and whether the adapter echoes what it sends. Families that answer a sync read answer
-a broadcast ping in turn; the answers of others collide: a bit is 0 if any servo sends a 0.
+A property sets what sources leave open: whether servos answer a sync read in families for which
+that is not known. Families that answer a sync read answer a broadcast ping in turn; the answers of
+others collide: a bit is 0 if any servo sends a 0.
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ class FeetechProperties(Section, frozen=True):
         special: Properties of individual servos, by id.
         latency: Latency of the adapter per answer [s].
         sync_read: Whether they answer a sync read; ``None``: as known of their family.
-        echo: Whether the adapter echoes what it sends.
         baudrate: Rate of the line [baud].
     """
 
@@ -49,7 +48,6 @@ class FeetechProperties(Section, frozen=True):
     special: dict[int, FeetechServoProperties] = field(default_factory=dict)
     latency: Duration = LATENCY
     sync_read: bool | None = None
-    echo: bool = False
     baudrate: Rate = table.BAUD_RATES[0]
 
 
@@ -105,10 +103,6 @@ class FeetechEmulator(ServoLine[EmulatedFeetech]):
         return places
 
     # --- the line ----------------------------------------------------------------------------
-
-    def feed(self, data: bytes, now: float) -> list[bytes]:
-        """Receive bytes from the host and return the answers."""
-        return ([data] if self.properties.echo else []) + super().feed(data, now)
 
     def answers(self, frame: Frame, now: float) -> list[bytes]:
         """Let the servos carry out a request; return their answers."""

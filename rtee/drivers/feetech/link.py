@@ -16,8 +16,7 @@ from rtee.drivers.servos import ServoLink
 class FeetechLink(RelaxedDeadline, ServoLink):
     """Talks to servos on one line; several devices may share it.
 
-    A frame counts as the answer if it has the servo's id and the right length. Adapters with an
-    echo are supported: a frame that equals the request is not an answer to it.
+    A frame counts as the answer if it has the servo's id and the right length.
 
     Args:
         bus: The line.
@@ -74,9 +73,7 @@ class FeetechLink(RelaxedDeadline, ServoLink):
         request = codec.Frame(number, codec.Instruction.READ, bytes([address, size])).to_bytes()
 
         def answers(reply: codec.Frame) -> bool:
-            # An adapter with an echo returns the request, which has the same form as an answer.
-            mine = reply.device == number and len(reply.params) == size
-            return mine and reply.to_bytes() != request
+            return reply.device == number and len(reply.params) == size
 
         return await self._bus.transact(
             request,
@@ -84,6 +81,7 @@ class FeetechLink(RelaxedDeadline, ServoLink):
             self._longest(size),
             self._retries,
             accept=answers,
+            encode=codec.Frame.to_bytes,
             whom=f"servo {number}",
         )
 

@@ -194,6 +194,8 @@ class QbSoftHandDriver(Driver):
             options.port,
             lambda bus: QbLink(bus, options.device, options.deadline, options.retries),
             baudrate=options.baudrate,
+            # An answer does not identify its request, so a late one could be taken for the next.
+            fresh=True,
         )
         with link.relaxed_deadline():
             parameters = await self._identify(link)

@@ -44,6 +44,7 @@ class QbLink(RelaxedDeadline):
             self.deadline,
             self.retries,
             accept=answers,
+            encode=codec.Frame.to_bytes,
         )
         return reply.data
 
@@ -53,7 +54,8 @@ class QbLink(RelaxedDeadline):
 
     async def ping(self) -> bool:
         """Return whether the hand answers."""
-        return await heard(self.request(codec.Command.PING)) is not None
+        # Not by a ping, whose answer equals an adapter's echo.
+        return await heard(self.active()) is not None
 
     async def anybody(self) -> int | None:
         """Return the number of the hand that answers, or ``None``; answers of several collide."""
@@ -67,7 +69,9 @@ class QbLink(RelaxedDeadline):
     async def _ping_all(self) -> codec.Frame:
         ping = codec.Frame(codec.BROADCAST, codec.Command.PING).to_bytes()
         # Without `accept`, since any number may answer.
-        return await self.bus.transact(ping, self._parser, self.deadline, self.retries)
+        return await self.bus.transact(
+            ping, self._parser, self.deadline, self.retries, encode=codec.Frame.to_bytes
+        )
 
     async def parameters(self) -> dict[int, codec.Parameter]:
         """Return the hand's parameters by index; empty if it does not answer."""

@@ -11,6 +11,7 @@ from rtee.buses.parser import CodecError, FramedParser, Framing
 from rtee.drivers.packed import Packed, part, text
 
 BAUDRATE = 921_600  # [baud]; the hand has no other
+NAME = "SVH"  # with which a genuine hand identifies itself
 CHANNELS = 9  # motors of the hand
 SYNC = b"\x4c\xaa"  # begins every packet
 PAYLOAD = 64
@@ -212,7 +213,7 @@ class ControllerState(Fields):
 
 
 class FirmwareInfo(Fields):
-    """The hand's identification; the name of a genuine one is ``SVH``."""
+    """The hand's identification; the name of a genuine one is `NAME`."""
 
     WHAT = "firmware information"
 

@@ -160,7 +160,7 @@ class SchunkSvhDriver(Driver):
             "is the 24 V supply on, and is it the right port?",
         ):
             firmware = await link.firmware()
-        if firmware.name != "SVH":
+        if firmware.name != codec.NAME:
             raise self.stranger("an SVH", f"'{firmware.name}'", hint="check the port")
         self._adopt(firmware)
         own = options.settings == "device" or (options.settings == "auto" and firmware.major >= 2)

@@ -51,7 +51,12 @@ class SvhLink:
         deadline = max(self.deadline, PATIENCE) if self.patient else self.deadline
         retries = 2 * self.retries + 1 if self.patient else self.retries
         return self.bus.transact(
-            request.to_bytes(), self._parser, deadline, retries, accept=answers
+            request.to_bytes(),
+            self._parser,
+            deadline,
+            retries,
+            accept=answers,
+            encode=Packet.to_bytes,
         )
 
     async def _ask(

@@ -118,7 +118,6 @@ def test_a_servo_of_another_id_or_a_wrong_checksum_gets_silence() -> None:
     assert ask(line(), "FF FF 02 02 01 FA") == []
     assert ask(line(), "FF FF 01 02 01 FA") == []
     assert ask(line(), "FF FF 01 02 77 85") == []  # no instruction
-    assert ask(line(echo=True), "FF FF 02 02 01 FA") == ["FF FF 02 02 01 FA"]
 
 
 def test_settings_are_stored_only_when_unlocked() -> None:

@@ -192,7 +192,7 @@ async def test_hands_that_garble_each_other_are_heard(
     error: type[FrameError | BusTimeout] | None, heard: bool
 ) -> None:
     class Line:
-        async def transact(self, *_: object) -> Frame:
+        async def transact(self, *_: object, **__: object) -> Frame:
             if error is not None:
                 raise error("/dev/line", "what came")
             return Frame(1, Command.PING)
