@@ -44,6 +44,9 @@ from rtee.types import DeviceSpec, Reference
 TORQUE_LOST = 0x100
 """Fault code of the driver for lost torque, above the bits of the servos' errors."""
 
+OTHER_MODE = 0x102
+"""Fault code of the driver for servos that another program has powered in another mode."""
+
 POWERED = 1
 """Value of the torque register that lets a servo drive."""
 
@@ -201,6 +204,7 @@ class ServoDriver(Driver, Generic[L]):
         NEAR: Tolerance for the goal read back from a servo without torque [counts].
         HINT: What `recover` does about the errors that servos report.
         LOST: What to do about servos that have lost their torque.
+        mode: Operating mode in which they follow goals.
         ids: The servos' ids, in the order of the actuators.
         names: Their names by id.
         scales: Their units.
@@ -217,6 +221,7 @@ class ServoDriver(Driver, Generic[L]):
     LOST: ClassVar[str] = "`rtee recover` powers it again"
     options: LineOptions
     link: L
+    mode: int = 0
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
@@ -433,6 +438,7 @@ class ServoDriver(Driver, Generic[L]):
             # Again, since a power cycle in the meantime may have reset the settings.
             await self.find()
             await self._refuse(await self._readings())
+            self._check_modes()
             await self._place()
             self._check_places(await self._readings())
             off = [number for number in self.ids if not self.found[number].powered]
@@ -459,6 +465,26 @@ class ServoDriver(Driver, Generic[L]):
         self.attached.begin(held)
         # At the end: until here, missing torque is not a fault.
         self.active = True
+
+    def _misled(self, powered: Iterable[int]) -> list[int]:
+        """Return those of some powered servos that do not follow goals, by their mode."""
+        return [number for number in powered if self.found[number].mode != self.mode]
+
+    def _check_modes(self) -> None:
+        """Raise `DeviceFault` if another program has powered servos in another operating mode.
+
+        A goal would be ignored, or its speed limit become a speed that never ends.
+        """
+        misled = self._misled(n for n, servo in self.found.items() if servo.powered)
+        if misled:
+            modes = ", ".join(str(mode) for mode in sorted({self.found[n].mode for n in misled}))
+            raise self._lost(
+                misled,
+                f"powered in operating mode {modes}, not {self.mode:d}",
+                OTHER_MODE,
+                hint="another program has set it; end that program, then `rtee recover` switches "
+                "the torque off and sets the mode",
+            )
 
     async def _set(self, register: Any, values: Mapping[int, int]) -> None:
         """Set a register of several servos; raises `DriverError` if one does not accept it."""
@@ -487,12 +513,14 @@ class ServoDriver(Driver, Generic[L]):
         with self.link.relaxed_deadline():
             readings = await self._readings()
             await self._refuse(readings)
+            self._check_modes()
             self._check_places(readings)
         return ""
 
-    async def _release(self) -> None:
-        link = self.link
-        for number in await link.set_all(self.TORQUE, dict.fromkeys(self.ids, 0)):
+    async def _release(self, numbers: Iterable[int] | None = None) -> None:
+        """Switch off the torque of all servos, or of some; raises `BusError`."""
+        which = self.ids if numbers is None else numbers
+        for number in await self.link.set_all(self.TORQUE, dict.fromkeys(which, 0)):
             raise FrameError(self.options.port, f"servo {number} does not switch off its torque")
 
     # --- every cycle -------------------------------------------------------------------------
@@ -655,12 +683,18 @@ class ServoDriver(Driver, Generic[L]):
     # --- stop --------------------------------------------------------------------------------
 
     async def hold(self) -> None:
-        """Command the measured posture; servos without torque stay without."""
+        """Command the measured posture; servos without torque stay without.
+
+        Servos in another operating mode, which would not stop at a goal, lose their torque.
+        """
         powered = self.ids
         if not self.active:
             # Writing a goal enables the torque of some servos.
             read = partial(self.link.values, self.TORQUE, self.ids)
             powered = [n for n, value in (await patiently(read)).items() if value == POWERED]
+            if misled := self._misled(powered):
+                await patiently(partial(self._release, misled))
+                powered = [number for number in powered if number not in misled]
         # Within the cycle's deadline: a lost answer must not use up the time of a stop.
         await patiently(partial(self._hold, powered, self.standstill.instead))
 

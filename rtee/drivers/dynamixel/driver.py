@@ -122,7 +122,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         options = self.options
-        self._mode = table.Mode[options.mode.upper()]
+        self.mode = table.Mode[options.mode.upper()]
         self._health: FloatArray = np.full((2, len(self.ids)), math.nan)
         self._sent: dict[table.Register, dict[int, int]] = {}
         self._limits_sent: tuple[list[int], list[float], list[float]] | None = None
@@ -177,7 +177,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             return register.unpack(stored[register.address :])
 
         # Only in this mode does a servo refuse goals beyond its limits.
-        limited = self._mode is table.Mode.POSITION
+        limited = self.mode is table.Mode.POSITION
         return FoundServo(
             number,
             get(table.MODEL),
@@ -241,7 +241,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         return ends.lower, ends.upper
 
     def _check_range(self, number: int, ends: Sequence[float]) -> None:
-        if self._mode is table.Mode.POSITION and not all(0 <= end < table.PULSES for end in ends):
+        if self.mode is table.Mode.POSITION and not all(0 <= end < table.PULSES for end in ends):
             raise ConfigError(
                 f"device '{self.spec.name}': the range of '{self.names[number]}' crosses the turn "
                 "of its servo; use mode 'extended_position' or 'current_based_position'"
@@ -253,23 +253,31 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
 
     def _refuses_effort(self) -> str:
         known = all(math.isfinite(scale.limit_unit) for scale in self.scales)
-        if known and self._mode is table.Mode.CURRENT_BASED_POSITION:
+        if known and self.mode is table.Mode.CURRENT_BASED_POSITION:
             return ""
         return "'mode: current_based_position' in its options takes one"
 
     async def _prepare(self, off: Sequence[int]) -> None:
         link, delay = self.link, self.options.return_delay
-        # The mode before gains and goals: a servo that changes its mode resets its goals.
-        for number in off:
-            servo = self.found[number]
-            if servo.mode != self._mode:
-                # Only if it differs, since EEPROM wears out.
-                await link.run(partial(link.write, number, table.OPERATING_MODE, self._mode))
+        found = [self.found[number] for number in off]
+        # By group writes that are read back: a servo may be set to answer nothing but reads. Only
+        # where they differ, since EEPROM wears out. The mode before gains and goals: a servo that
+        # changes its mode resets its goals.
+        await self._set(
+            table.OPERATING_MODE, {s.id: int(self.mode) for s in found if s.mode != self.mode}
+        )
+        if delay is not None:
             # The factory setting is 0.5 ms, with which 16 servos delay every read by 8 ms.
-            if delay is not None and servo.return_delay != delay:
-                await link.run(partial(link.write, number, table.RETURN_DELAY, delay))
+            slow = {s.id: delay for s in found if s.return_delay != delay}
+            await self._set(table.RETURN_DELAY, slow)
+        # Until it is cleared, a watchdog that has tripped refuses all of the following.
+        await self._set(table.BUS_WATCHDOG, dict.fromkeys(off, 0))
+        # Another program may have left the motors weak, or slow.
+        await self._set(table.GOAL_PWM, await link.values(table.PWM_LIMIT, off))
+        for register in (table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY):
+            await self._set(register, dict.fromkeys(off, 0))
         await self._set_gains(off)
-        if self._mode is table.Mode.CURRENT_BASED_POSITION:
+        if self.mode is table.Mode.CURRENT_BASED_POSITION:
             most = {n: self._most(i) for i, n in enumerate(self.ids) if n in off}
             await self._set(table.GOAL_CURRENT, most)
 
@@ -390,7 +398,10 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     # --- faults ------------------------------------------------------------------------------
 
     async def recover(self) -> None:
-        """Reboot the servos with a hardware error; they are powered again by `activate`."""
+        """Reboot the servos with a hardware error; they are powered again by `activate`.
+
+        Servos that another program has powered in another mode lose their torque.
+        """
         link, self.active = self.link, False
         with link.relaxed_deadline():
             broken = []
@@ -408,6 +419,8 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
                     raise self._lost(broken, "silent after its reboot")
             await self.find()
             await self._refuse(await self._readings())
+            powered = (n for n, servo in self.found.items() if servo.powered)
+            await self._release(self._misled(powered))
 
     def _zero(self, position: float) -> float:
         return position % table.PULSES

@@ -21,6 +21,21 @@ T = TypeVar("T")
 _ERROR_NUMBER = 0x7F
 """Bits of a status packet's error byte except for the hardware alert (protocol 2.0)."""
 
+_ID, _LENGTH, _ERROR, _DATA = 4, 5, 8, 9
+"""Places of id, length, error and data in a status packet of the SDK."""
+
+_AROUND = 4
+"""Bytes that its length counts besides the data: instruction, error, checksum."""
+
+_PING_DATA = 3
+"""Data bytes of the answer to a ping: model and firmware."""
+
+
+def _data_size(packet: Sequence[int]) -> int:
+    """Return the number of data bytes in a status packet."""
+    return (packet[_LENGTH] | packet[_LENGTH + 1] << 8) - _AROUND
+
+
 _LATENCY = 0.008
 """Time allowed for an answer in a cycle, in addition to that of its bytes [s]: several polls of an
 adapter with a latency timer of 1 ms."""
@@ -59,13 +74,16 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
         """Receive one answer per servo."""
         self.last_result = False
         for number in self.data_dict:
-            data, result, error = self.ph.readRx(self.port, number, self.data_length)
+            packet, result = self.ph.rxPacket(self.port, False)
+            while result == sdk.COMM_SUCCESS and packet[_ID] != number:
+                packet, result = self.ph.rxPacket(self.port, False)
             if result != sdk.COMM_SUCCESS:
                 return int(result)
-            # The SDK accepts an answer of any length if its checksum is right.
-            if len(data) < self.data_length:
+            # One of another length answers an earlier request.
+            if _data_size(packet) != self.data_length:
                 return int(sdk.COMM_RX_CORRUPT)
-            self.data_dict[number], self.errors[number] = data, error
+            self.data_dict[number] = packet[_DATA : _DATA + self.data_length]
+            self.errors[number] = packet[_ERROR]
         self.last_result = True
         return int(sdk.COMM_SUCCESS)
 
@@ -198,8 +216,13 @@ class DynamixelLink(ServoLink):
         found: list[int] = []
 
         def attempt() -> int:
-            model, result, error = self.bus.packets.ping(self.bus.port, number)
-            found.append(model)
+            # Not the SDK's own ping, which takes any answer of the servo for that to a ping.
+            request = [0, 0, 0, 0, number, 3, 0, sdk.INST_PING, 0, 0]
+            packet, result, error = self.bus.packets.txRxPacket(self.bus.port, request)
+            if result == sdk.COMM_SUCCESS and _data_size(packet) != _PING_DATA:
+                return int(sdk.COMM_RX_CORRUPT)
+            if result == sdk.COMM_SUCCESS:
+                found.append(packet[_DATA] | packet[_DATA + 1] << 8)
             return _heard(result, error)
 
         try:

@@ -339,6 +339,10 @@ class EmulatedDynamixel(EmulatedServo):
         if mode in _POSITION_MODES:
             if mode == Mode.CURRENT_BASED_POSITION:
                 axis.max_effort = float(min(abs(current), limit))
+            # The voltage that a host allows limits effort and speed.
+            pwm = min(abs(self.get(table.GOAL_PWM)) / table.PWM_LIMIT.default, 1.0)
+            axis.max_effort *= pwm
+            axis.max_velocity *= pwm
             axis.target = self._sign * (self.get(table.GOAL_POSITION) - self._offset)
         else:
             push = {Mode.CURRENT: current, Mode.VELOCITY: self.get(table.GOAL_VELOCITY)}.get(

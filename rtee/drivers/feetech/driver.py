@@ -201,7 +201,7 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         found = [self.found[number] for number in off]
         if family.offset is not None:
             # SCS servos have no such register: their limits select position or wheel mode.
-            await self._set(table.MODE, {s.id: 0 for s in found if s.mode})
+            await self._set(table.MODE, {s.id: self.mode for s in found if s.mode != self.mode})
         if options.torque is not None and not family.limits_torque:
             most = round(options.torque * FULL)
             await self._set(table.MAX_TORQUE, {s.id: most for s in found if s.most != most})
@@ -332,8 +332,9 @@ class FeetechDriver(ServoDriver[FeetechLink]):
     async def recover(self) -> None:
         """Disable the torque of servos with a fault, which ends an overload.
 
-        Servos that have restarted lose their torque, too, since only servos without torque are set
-        up. `activate` powers all of them again.
+        Servos that have restarted, or that another program has powered in another mode, lose their
+        torque, too, since only servos without torque are set up. `activate` powers all of them
+        again.
         """
         # From here on, missing torque is not a fault.
         self.active = False
@@ -341,7 +342,8 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         with link.relaxed_deadline():
             hurt = {n for n, error in (await self._readings()).errors.items() if error}
             for number in self.ids:
-                if (await self._condition(number))[1]:
+                torque, restarted = await self._condition(number)
+                if restarted or (torque == POWERED and self._misled([number])):
                     hurt.add(number)
             await link.set_all(table.TORQUE, dict.fromkeys(hurt, 0))
             await self._refuse(await self._readings())

@@ -15,7 +15,14 @@ from rtee import monotonic
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.drivers.dynamixel import table
-from rtee.drivers.dynamixel.codec import BROADCAST, STATUS, Hardware, Instruction, crc16
+from rtee.drivers.dynamixel.codec import (
+    BROADCAST,
+    STATUS,
+    Hardware,
+    Instruction,
+    StatusPacket,
+    crc16,
+)
 from rtee.drivers.dynamixel.driver import DynamixelDriver
 from rtee.drivers.dynamixel.emulator import DynamixelEmulator
 from rtee.drivers.dynamixel.table import Mode
@@ -295,6 +302,106 @@ async def test_lost_torque_and_a_tripped_watchdog_are_noticed() -> None:
         servo.set(table.TORQUE, 0)
         with pytest.raises(DeviceFault, match="torque lost: servo 0"):
             await made.sense()
+
+
+async def test_servos_that_a_watchdog_has_stopped_are_powered_after_they_were_limp() -> None:
+    async with BusPool() as pool, connected(pool, device(watchdog=0.1)) as made:
+        await made.activate()
+        await anyio.sleep(0.3)
+        await made.disable()
+        assert [each.get(table.BUS_WATCHDOG) for each in line(pool).servos.values()] == [-1] * 2
+        await made.activate()
+        assert await settle(made, [0.3, 0.3]) == pytest.approx([0.3, 0.3], abs=2e-3)
+
+
+def spinning(servo: Any) -> None:
+    """Leave a servo as another program may: powered, and turning without a goal."""
+    servo.set(table.OPERATING_MODE, Mode.VELOCITY)
+    servo.set(table.TORQUE, 1)
+    servo.set(table.GOAL_VELOCITY, 20)
+    servo._act()
+
+
+async def test_a_servo_that_another_program_has_powered_in_another_mode_is_named() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        second = line(pool).servos[1]
+        spinning(second)
+        await made.configure()
+        sentence = r"powered in operating mode 1, not 5: servo 1 \(j1\)"
+        for ask in (made.examine, made.activate):
+            with pytest.raises(DeviceFault, match=sentence) as found:
+                await ask()
+        assert (found.value.code, "rtee recover" in found.value.hint) == (0x102, True)
+        assert not made.active
+        await made.recover()
+        assert second.get(table.TORQUE) == 0
+        at = second.position
+        await made.activate()
+        assert second.get(table.OPERATING_MODE) == Mode.CURRENT_BASED_POSITION
+        assert second.get(table.GOAL_POSITION) == pytest.approx(at, abs=2)
+        assert await settle(made, [0.3, 0.3]) == pytest.approx([0.3, 0.3], abs=2e-3)
+
+
+async def test_a_stop_ends_the_motion_of_a_servo_in_another_mode() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        first, second = line(pool).ordered
+        first.set(table.OPERATING_MODE, Mode.CURRENT_BASED_POSITION)
+        first.set(table.TORQUE, 1)
+        first._act()
+        spinning(second)
+        await made.configure()
+        await anyio.sleep(0.1)
+        assert (await made.sense()).velocity[1] > 0.1
+        await made.stop()
+        await anyio.sleep(0.1)
+        assert (await made.sense()).velocity.tolist() == pytest.approx([0.0, 0.0], abs=0.03)
+        # One that follows goals keeps its power.
+        assert [first.get(table.TORQUE), second.get(table.TORQUE)] == [1, 0]
+
+
+async def test_servos_that_answer_nothing_but_reads_are_set_up() -> None:
+    """As the program of an ORCA hand leaves them: status return level 1."""
+    async with BusPool() as pool, connected(pool, device()) as made:
+        for each in line(pool).ordered:
+            each.set(table.STATUS_RETURN_LEVEL, 1)
+        await made.activate()
+        for each in line(pool).ordered:
+            assert each.get(table.OPERATING_MODE) == Mode.CURRENT_BASED_POSITION
+            assert each.get(table.RETURN_DELAY) == 0
+        assert made.counters()["timeouts"] == 0
+
+
+async def test_what_another_program_left_does_not_slow_or_weaken_the_motors() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        for each in line(pool).ordered:
+            each.set(table.GOAL_PWM, 20)
+            each.set(table.PROFILE_ACCELERATION, 1)
+            each.set(table.PROFILE_VELOCITY, 1)
+        await made.activate()
+        for each in line(pool).ordered:
+            assert each.get(table.GOAL_PWM) == 885
+            assert each.get(table.PROFILE_ACCELERATION) == 0
+        assert await settle(made, [0.5, 0.5]) == pytest.approx([0.5, 0.5], abs=2e-3)
+
+
+async def test_an_answer_to_an_earlier_request_is_not_taken_for_this_one() -> None:
+    spec = device(fast="never", deadline=0.5)
+    async with BusPool() as pool, connected(pool, spec) as made:
+        await made.activate()
+        emulator, answers = line(pool), DynamixelEmulator.answers
+        late: list[bytes] = []
+
+        def behind(frame: Any, now: float) -> list[bytes]:
+            came = answers(emulator, frame, now)
+            before = [late.pop()] if late else []
+            return [*before, *came]
+
+        emulator.answers = behind  # type: ignore[method-assign]
+        # The state of servo 0, ten bytes whose first one is not its torque.
+        late.append(StatusPacket(0, 0, bytes(range(10))).to_bytes())
+        assert await made.link.values(table.TORQUE, [0]) == {0: 1}
+        late.append(StatusPacket(0, 0, bytes(range(10))).to_bytes())
+        assert await made.link.model(0) == 1200
 
 
 async def test_stop_holds_and_release_lets_go() -> None:

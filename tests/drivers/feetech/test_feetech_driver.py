@@ -278,6 +278,50 @@ async def test_a_restart_is_noticed_while_set_points_power_the_servo_again(famil
         assert session.near(await session.reach([0.5] * 3), [0.5] * 3)
 
 
+def spinning(servo: Any) -> None:
+    """Leave a servo as another program may: powered, and turning without a goal."""
+    servo.set(table.MODE, 1)
+    servo.set(table.GOAL_SPEED, 300)
+    servo.set(table.TORQUE, 1)
+    servo._act()
+
+
+async def test_a_servo_that_another_program_lets_turn_is_named_and_set_up() -> None:
+    async with Session(case()) as session:
+        await session.connect()
+        second = session.emulator.ordered[1]
+        session.wire.call(lambda: spinning(second))
+        await session.driver.close()
+        await session.connect()
+        with pytest.raises(
+            DeviceFault, match=r"powered in operating mode 1, not 0: servo 2 \(j1\)"
+        ):
+            await session.driver.examine()
+        with pytest.raises(DeviceFault, match="operating mode 1") as found:
+            await session.driver.activate()
+        assert (found.value.code, "rtee recover" in found.value.hint) == (0x102, True)
+        await session.driver.recover()
+        assert second.get(table.TORQUE) == 0
+        await session.driver.activate()
+        assert second.get(table.MODE) == 0
+        assert session.near(await session.reach([0.5] * 3), [0.5] * 3)
+
+
+async def test_a_stop_ends_the_turning_of_a_servo_in_another_mode() -> None:
+    """A goal would give it the largest speed instead."""
+    async with Session(case()) as session:
+        await session.connect()
+        second = session.emulator.ordered[1]
+        session.wire.call(lambda: spinning(second))
+        await session.driver.close()
+        await session.connect()
+        await asyncio.sleep(0.05)
+        assert (await session.sense()).velocity[1] > 0.1
+        await session.driver.stop()
+        await asyncio.sleep(0.05)
+        assert (await session.sense()).velocity[1] == 0.0
+
+
 async def test_after_a_silence_every_servo_is_checked() -> None:
     servo = {"reboot_time": 0.0}
     async with Session(case(check_every=10_000, emulator={"servo": servo})) as session:
