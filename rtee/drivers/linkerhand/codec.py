@@ -6,7 +6,7 @@ from an independent client. Every register and every byte on CAN holds one value
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
@@ -166,12 +166,20 @@ def dotted(version: int) -> str:
     return f"{version >> 4 & 0xF}.{version & 0xF}"
 
 
-def checked(table: Table, registers: Sequence[int], count: int) -> tuple[int, ...]:
+VALUES, FAULTS = frozenset(range(MOST + 1)), frozenset(int(fault) for fault in Fault)
+"""What a register can hold, and the published fault codes."""
+
+
+def checked(
+    registers: Sequence[int], count: int, known: Collection[int] = VALUES
+) -> tuple[int, ...]:
     """Return the values of a table; raises `CodecError` for a wrong number or a bad value.
 
-    An unpublished fault code is more likely to be the late answer to another request.
+    Args:
+        registers: The registers.
+        count: The expected number of them.
+        known: Values that they can have.
     """
-    known = set(Fault) if table is Table.FAULT else range(MOST + 1)
     if len(registers) != count or not all(value in known for value in registers):
         raise CodecError(f"not {count} values of a LinkerHand: {list(registers)}")
     return tuple(registers)

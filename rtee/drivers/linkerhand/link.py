@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,7 +99,10 @@ class ModbusLink(_LinkerHand):
     async def read(self, table: Table) -> tuple[int, ...]:
         """Return the values of all motors; raises `BusError`."""
         first = self.model.tables[table].register
-        return self._checked(table, await self._read(first, self.model.count))
+        # Among answers of the same length, an unpublished fault code is more likely to be a late
+        # answer to another request.
+        known = codec.FAULTS if table is Table.FAULT else codec.VALUES
+        return self._checked(await self._read(first, self.model.count), known)
 
     async def health(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return temperatures [°C] and fault codes of all motors; raises `BusError`.
@@ -114,13 +117,14 @@ class ModbusLink(_LinkerHand):
             except ModbusRefusal:
                 self._both = False
             else:
-                halves = registers[:count], registers[count:]
-                return self._checked(both[0], halves[0]), self._checked(both[1], halves[1])
+                return self._checked(registers[:count]), self._checked(registers[count:])
         return await super().health()
 
-    def _checked(self, table: Table, registers: Sequence[int]) -> tuple[int, ...]:
+    def _checked(
+        self, registers: Sequence[int], known: Collection[int] = codec.VALUES
+    ) -> tuple[int, ...]:
         try:
-            return codec.checked(table, registers, self.model.count)
+            return codec.checked(registers, self.model.count, known)
         except CodecError as error:
             raise FrameError(self.bus.name, str(error)) from error
 

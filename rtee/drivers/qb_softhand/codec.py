@@ -155,8 +155,22 @@ class Index(IntEnum):
     """The parameters that a driver needs, counted from 1."""
 
     DEVICE = 1
+    INPUT_MODE = 5
+    CONTROL_MODE = 6
     LIMITS = 11
     CURRENT_LIMIT = 13
+
+
+_INTEGERS = frozenset(range(7))
+"""Type bytes of flags and integers, the types that a mode may have."""
+
+_ELSEWHERE: Mapping[Index, Mapping[int, str]] = {
+    Index.INPUT_MODE: {
+        1: "the handle's encoder", 2: "EMG", 3: "EMG", 4: "EMG", 5: "EMG", 6: "a joystick",
+    },
+    Index.CONTROL_MODE: {1: "PWM", 2: "current"},
+}  # fmt: skip
+"""The modes in which a hand does not take references of position, by parameter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,3 +290,15 @@ def current_limit(parameters: Mapping[int, Parameter]) -> float | None:
     if parameter is None or not parameter.values or not 0 < parameter.values[0] < _SIGN:
         return None
     return parameter.values[0] / 1000.0
+
+
+def other_mode(parameters: Mapping[int, Parameter]) -> str:
+    """Return the mode in a list in which a hand takes no references of position; empty if none."""
+    for index, modes in _ELSEWHERE.items():
+        found = parameters.get(index)
+        if found is None or found.kind not in _INTEGERS or len(found.values) != 1:
+            continue
+        mode = int(found.values[0])
+        if mode in modes:
+            return f"{index.name.lower().replace('_', ' ')} {mode} ({modes[mode]})"
+    return ""

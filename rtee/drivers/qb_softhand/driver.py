@@ -200,6 +200,13 @@ class QbSoftHandDriver(Driver):
         with link.relaxed_deadline():
             parameters = await self._identify(link)
             self._adopt(limits(parameters))
+            # Its references would be voltages or currents, or have no effect.
+            if mode := codec.other_mode(parameters):
+                raise self.stranger(
+                    "a hand that takes positions from this computer",
+                    f"one with {mode}",
+                    hint="set both modes to 0 with qb's own program, which stores them",
+                )
             self.active = await self._all_active()
         self._effort_per_ma = self._efforts(current_limit(parameters) or _CURRENT_LIMIT)
         self.refine(

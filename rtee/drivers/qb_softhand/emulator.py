@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from functools import reduce
 from operator import xor
-from typing import Literal
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis
@@ -27,6 +29,8 @@ _FRICTION, _GAIN = 120.0, 0.25
 them."""
 _RATES = {13: 460_800}
 """Rates by the parameter of SET_BAUDRATE [baud]; other parameters set the factory's rate."""
+_PUSHING = (1, 2)
+"""Control modes in which references are voltages and currents."""
 _TEXT_REQUEST = b"?\r\n"  # requests the information text without a frame
 
 
@@ -41,6 +45,8 @@ class QbOptions(Section, frozen=True):
         activation_mask: Whether GET_ACTIVATE returns the true mask with one motor, too, as in some
             firmware; otherwise 3 or 0, as the vendor's library expects.
         watchdog: Whether SET_WATCHDOG is implemented: silence deactivates the motors.
+        input_mode: Stored source of its references; 0: the host.
+        control_mode: Stored meaning of its references; 0: positions.
         startup_active: Whether the motors are active after power-up, as from the factory.
         boot_time: Silence after power-up [s].
         speed: Speed of a motor [ticks/s].
@@ -54,6 +60,8 @@ class QbOptions(Section, frozen=True):
     limit: int = 19_000
     activation_mask: bool = False
     watchdog: bool = False
+    input_mode: Annotated[int, Meta(ge=0, le=6)] = 0
+    control_mode: Annotated[int, Meta(ge=0, le=3)] = 0
     startup_active: bool = True
     boot_time: Duration = 0.0
     speed: Positive = 25_000.0
@@ -240,6 +248,15 @@ class QbSoftHandEmulator(Emulator, Grasps):
 
     def _inputs(self, data: bytes) -> None:
         self._references = [float(v) for v in codec.read_int16(data)]
+        made = self.options
+        if made.input_mode:
+            return  # another source has the motors
+        if made.control_mode in _PUSHING:
+            # A voltage or a current drives a motor to the end of its travel.
+            for axis, push in zip(self.axes, self._references, strict=False):
+                end = axis.upper if push > 0.0 else axis.lower
+                axis.target = end if push else axis.position
+            return
         # A command always has two references; a hand with one motor ignores the second.
         for axis, reference in zip(self.axes, self._references, strict=False):
             axis.target = min(max(reference, axis.lower), axis.upper)
@@ -259,6 +276,8 @@ class QbSoftHandEmulator(Emulator, Grasps):
         known = {
             1: codec.Parameter(2, (made.device,), "1 - Device ID:"),
             4: codec.Parameter(0, (int(made.startup_active),), "4 - Startup Activation:"),
+            5: codec.Parameter(2, (made.input_mode,), "5 - Input mode:"),
+            6: codec.Parameter(2, (made.control_mode,), "6 - Control mode:"),
             7: codec.Parameter(2, (3, 3, 3), "7 - Resolutions:"),
             10: codec.Parameter(0, (1,), "10 - Pos. limits active:"),
             11: codec.Parameter(5, travel, "11 - Pos. limits [tick]:"),

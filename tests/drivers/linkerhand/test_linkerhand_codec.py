@@ -91,7 +91,7 @@ def test_a_fault_has_its_code_where_the_sheet_has_it() -> None:
     # The sheet's example has it on the thumb, this hand on the index finger.
     codes = asked(o6, "27 04 00 18 00 06 F7 09")
     assert codes.startswith("27 04 0C 00 00 00 00 00 02")
-    assert codec.checked(Table.POSITION, [2, 0, 0, 0, 0, 0], 6) == (2, 0, 0, 0, 0, 0)
+    assert codec.checked([2, 0, 0, 0, 0, 0], 6) == (2, 0, 0, 0, 0, 0)
     assert codec.FAULT_NAMES[2] == "over-temperature"
 
 
@@ -173,9 +173,9 @@ def test_tables_have_a_value_for_each_motor() -> None:
         for block in model.tables.values():
             assert sum(count for _, count in block.properties) == model.count
     with pytest.raises(CodecError, match="not 6 values"):
-        codec.checked(Table.POSITION, [1, 2], 6)
+        codec.checked([1, 2], 6)
     with pytest.raises(CodecError, match="not 2 values"):
-        codec.checked(Table.POSITION, [1, 256], 2)
+        codec.checked([1, 256], 2)
 
 
 @given(

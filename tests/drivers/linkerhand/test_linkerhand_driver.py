@@ -254,6 +254,21 @@ async def test_faults_have_names(fault: str, code: int, text: str, channel: str 
             await session.driver.examine()
 
 
+@pytest.mark.parametrize("channel", [None, "can0"])
+async def test_a_fault_code_that_is_not_published_is_a_fault_too(channel: str | None) -> None:
+    async with Session(case(channel=channel)) as session:
+        await session.start()
+        emulator, told = session.emulator, session.emulator.table
+
+        def table(asked: Table) -> list[int]:
+            return [0, 0, 9, 0, 0, 0] if asked is Table.FAULT else told(asked)
+
+        session.wire.call(lambda: setattr(emulator, "table", table))
+        with pytest.raises(DeviceFault, match="index: unknown fault 9") as caught:
+            await session.driver.examine()
+        assert (caught.value.code, "rtee recover" in caught.value.hint) == (9, True)
+
+
 async def test_recovering_keeps_what_is_held_and_what_had_the_fault_where_it_is() -> None:
     async with Session(case()) as session:
         await session.start()

@@ -222,6 +222,28 @@ async def test_another_number_of_motors_is_named() -> None:
                 pass
 
 
+@pytest.mark.parametrize(
+    ("properties", "sentence"),
+    [
+        ({"control_mode": 1}, r"one with control mode 1 \(PWM\); set both modes to 0"),
+        ({"control_mode": 2}, r"control mode 2 \(current\)"),
+        ({"input_mode": 3}, r"input mode 3 \(EMG\)"),
+    ],
+)
+async def test_a_hand_that_takes_no_positions_is_named(
+    properties: dict[str, int], sentence: str
+) -> None:
+    async with BusPool() as pool:
+        with pytest.raises(HandshakeError, match=sentence):
+            async with connected(pool, device(emulator=properties)):
+                pass
+
+
+async def test_a_hand_that_also_limits_its_current_is_driven() -> None:
+    async with BusPool() as pool, connected(pool, device(emulator={"control_mode": 3})) as made:
+        await made.activate()
+
+
 async def test_silence_is_named() -> None:
     async with BusPool() as pool:
         with pytest.raises(NotConnected, match="no SoftHand answers"):
