@@ -16,6 +16,17 @@ now: Callable[[], float] = time.monotonic
 now_ns: Callable[[], int] = time.monotonic_ns
 """Return the time [ns]."""
 
+
+def _suspended() -> float:
+    clock = time.clock_gettime
+    return clock(time.CLOCK_BOOTTIME) - clock(time.CLOCK_MONOTONIC)
+
+
+# Only Linux has the second clock, which also counts while the computer is suspended.
+suspended: Callable[[], float] = _suspended if hasattr(time, "CLOCK_BOOTTIME") else lambda: 0.0
+"""Return the time for which the computer has been suspended, from an unknown beginning [s]; that
+time is missing from `now`."""
+
 sleep: Callable[[float], None] = time.sleep
 """Block a worker thread for some time [s]."""
 

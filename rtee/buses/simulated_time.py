@@ -50,10 +50,14 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
 
     Args:
         start: Its time at the beginning [s].
+
+    Attributes:
+        suspended: Time for which the simulated computer has been suspended [s].
     """
 
     def __init__(self, start: float = _START) -> None:
         self._time = start
+        self.suspended = 0.0
         self._working = 0
         self._waits: list[_Wait] = []
         self._ended = False
@@ -69,12 +73,13 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
 
     def run_forever(self) -> None:
         """Run until stopped, with this loop's time in `rtee.monotonic`."""
-        before = monotonic.now, monotonic.now_ns, monotonic.sleep
+        before = monotonic.now, monotonic.now_ns, monotonic.sleep, monotonic.suspended
         monotonic.now, monotonic.now_ns, monotonic.sleep = self.time, self._time_ns, self._sleep
+        monotonic.suspended = lambda: self.suspended
         try:
             super().run_forever()
         finally:
-            monotonic.now, monotonic.now_ns, monotonic.sleep = before
+            monotonic.now, monotonic.now_ns, monotonic.sleep, monotonic.suspended = before
 
     def close(self) -> None:
         """Close the loop; threads that still wait in it continue at once."""

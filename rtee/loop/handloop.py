@@ -137,7 +137,7 @@ class HandLoop:
         self._waiters: dict[str, tuple[anyio.Event, list[Result]]] = {}
         self._status_at = -math.inf
         self._busy_at = math.inf
-        self._long_pause = round(_LONG_PAUSE * settings.rate)  # in ticks
+        self._suspended = math.nan  # until the first tick
         self._ended = False
         self._muted: list[str] = []
         self._unread: list[tuple[Supervisor, int, Sequence[float], str]] = []
@@ -209,8 +209,11 @@ class HandLoop:
             self._pending.append,
             self._on_lost,
         )
-        if tick.missed >= self._long_pause:
-            self._resume(tick.missed, before)
+        suspended = monotonic.suspended()
+        paused = self._paused(tick.missed / self.settings.rate, suspended)
+        self._suspended = suspended
+        if paused >= _LONG_PAUSE:
+            self._resume(paused, before)
         # Start goals and apply commands, in the order of their arrival.
         moves = False
         waiting: list[tuple[Goal, Plan] | Command] = []
@@ -319,12 +322,21 @@ class HandLoop:
                 if hot.intersection(device.indices):
                     self._start(device.disable, CONFIRM_WITHIN)
 
-    def _resume(self, missed: int, before: Sequence[float]) -> None:
+    def _paused(self, without: float, suspended: float) -> float:
+        """Return for how long the loop did not run [s].
+
+        Args:
+            without: Time without ticks [s], by a clock that stands still in a suspended computer.
+            suspended: For how long the computer has been suspended until now [s].
+        """
+        return without + suspended - self._suspended
+
+    def _resume(self, paused: float, before: Sequence[float]) -> None:
         """End goals and streams after a long pause; send nothing before devices are read again."""
-        reason = f"the loop did not run for {missed / self.settings.rate:.1f} s"
+        reason = f"the loop did not run for {paused:.1f} s"
         text = (
             f"{self.name}: {reason}, so its devices got no references: its process was stopped, or "
-            "the computer too busy"
+            "the computer suspended or too busy"
         )
         self._observers.event(Event("loop_paused", self.name, text, self._now(), "warning"))
         # After waiting goals: somebody may have asked for them long ago.
@@ -499,8 +511,9 @@ class HandLoop:
         """
         posture = self.controller.starts.posture_to_keep()
         effort = self.controller.reference_effort
-        record = self._record
-        paused = record is not None and self._now() - record.stamp >= _LONG_PAUSE
+        record, suspended = self._record, monotonic.suspended()
+        without = 0.0 if record is None else self._now() - record.stamp
+        paused = self._paused(without, suspended) >= _LONG_PAUSE
         unread = {unread.name for unread, *_ in self._unread}
 
         async def keep(device: Supervisor, within: float) -> bool:

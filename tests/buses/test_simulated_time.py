@@ -156,3 +156,19 @@ async def test_a_port_is_like_a_real_one_for_those_who_open_it() -> None:
             await bus.connect()
     with pytest.raises(BusBroken, match="no such port"):
         await open_link(address, Line(), asyncio.Protocol)
+
+
+def test_its_computer_is_suspended_only_by_a_test() -> None:
+    before = monotonic.suspended
+
+    async def look() -> list[float]:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, SimulatedTimeLoop)
+        begun, slept = loop.time(), [monotonic.suspended()]
+        loop.suspended += 5.0
+        await asyncio.sleep(1.0)
+        return [*slept, monotonic.suspended(), round(loop.time() - begun)]
+
+    with asyncio.Runner(loop_factory=SimulatedTimeLoop) as runner:
+        assert runner.run(look()) == [0.0, 5.0, 1.0]
+    assert monotonic.suspended is before

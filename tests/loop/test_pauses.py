@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
@@ -9,6 +10,7 @@ import anyio
 import pytest
 
 from rtee.buses.pool import BusPool
+from rtee.buses.simulated_time import SimulatedTimeLoop
 from rtee.errors import BusTimeout, RteeError
 from rtee.hand.config_schema import Behaviour, SafetySettings
 from rtee.hand.model import Hand
@@ -96,6 +98,13 @@ class Rig:
 
     async def fist(self) -> bool:
         return (await self.loop.execute(goal_of("fist"))).reached
+
+    async def suspend(self, seconds: float, after: float) -> None:
+        """Suspend the computer so long after a tick [s]; its clock stands still meanwhile."""
+        await anyio.sleep_until(self.clock.last + 1 / self.clock.rate + after)
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, SimulatedTimeLoop)
+        loop.suspended += seconds
 
 
 @asynccontextmanager
@@ -203,6 +212,51 @@ async def test_a_soft_object_that_yields_in_a_pause_stays_held(hand: Hand) -> No
         await anyio.sleep(0.5)
         assert plant.position == plant.obstacle
         assert plant.effort > 0.1
+
+
+# --- after the computer was suspended -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("after", [0.002, 0.008])
+async def test_a_hand_moved_while_the_computer_was_suspended_stays_there(
+    hand: Hand, after: float
+) -> None:
+    """After 2 ms, an exchange is under way, whose reference is from before."""
+    async with pausing(hand) as rig:
+        rig.driver.sense_time = 0.005
+        assert await rig.fist()
+        await rig.suspend(3.0, after)
+        at = rig.driver.moved_by_hand(0.3)
+        await anyio.sleep(1.0)
+        assert rig.driver.positions == pytest.approx(at)
+        [event] = [e for e in rig.watcher.events if e.kind == "loop_paused"]
+        assert "did not run for 3.0 s" in event.text
+        assert rig.lifecycle is Lifecycle.ACTIVE
+        assert await rig.fist()
+
+
+async def test_a_goal_from_before_the_computer_was_suspended_has_ended(hand: Hand) -> None:
+    async with pausing(hand) as rig:
+        rig.loop.submit(goal_of("fist"))
+        await anyio.sleep(0.1)
+        await rig.suspend(3.0, 0.005)
+        at = rig.driver.moved_by_hand(0.3)
+        await anyio.sleep(1.0)
+        assert rig.driver.positions == pytest.approx(at)
+        assert rig.watcher.results[-1].aborted
+
+
+async def test_a_run_that_ends_as_the_computer_wakes_up_holds_no_posture_from_before(
+    hand: Hand,
+) -> None:
+    async with pausing(hand) as rig:
+        rig.driver.sense_time = 0.004
+        assert await rig.fist()
+        await rig.suspend(3.0, 0.005)
+        at = rig.driver.moved_by_hand(0.3)
+        assert await bring_to_rest(rig.loop, Behaviour.HOLD, "a test") == [("dummy", True)]
+        await anyio.sleep(0.5)
+        assert rig.driver.positions == pytest.approx(at)
 
 
 # --- stops and requests ----------------------------------------------------------------------
