@@ -103,7 +103,10 @@ class DriveCycle:
                     await self._news.wait()
             except TimeoutError:
                 bus.counters.timeouts += 1
-                nodes = ", ".join(str(number) for number in late)
+                silent = [d for d in self.drives if d.id in late]
+                nodes = ", ".join(
+                    f"{d.id} ({d.absence})" if d.absence else str(d.id) for d in silent
+                )
                 raise BusTimeout(bus.name, f"no process data from node {nodes}") from None
 
     def _send_heartbeat(self, now: float) -> None:

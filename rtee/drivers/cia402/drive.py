@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -14,8 +14,17 @@ from rtee.buses.canopen import CanopenBus
 from rtee.buses.emulator import CanFrame
 from rtee.buses.parser import CodecError
 from rtee.drivers.cia402 import cia301, codec
-from rtee.drivers.cia402.cia301 import RPDO, TPDO, Emergency, NmtState
-from rtee.drivers.cia402.codec import Command, Limits, Mode, Motion, Object, State, Status
+from rtee.drivers.cia402.cia301 import RPDO, TPDO, Emergency, NmtState, emergency_name
+from rtee.drivers.cia402.codec import (
+    Command,
+    Limits,
+    Mode,
+    Motion,
+    Object,
+    State,
+    Status,
+    StatusBit,
+)
 from rtee.drivers.cia402.options import NodeOptions
 from rtee.errors import BusBroken, BusTimeout, DriverError
 
@@ -24,6 +33,13 @@ _SYNCHRONOUS = 1
 
 _TRIES = 3
 """Attempts per SDO transfer: a frame may be lost, or this computer may be busy for a moment."""
+
+_SILENT_STATES: Mapping[NmtState | None, str] = {
+    NmtState.PRE_OPERATIONAL: "pre-operational",
+    NmtState.STOPPED: "stopped by another master",
+}
+"""States in which a node sends no process data. Only a master stops a node; a lost heartbeat makes
+some nodes pre-operational."""
 
 _LATE = 0.01
 """Pause before the next attempt [s], in which a late answer still arrives and is dropped."""
@@ -79,6 +95,25 @@ class DriveLink:
     def state(self) -> State:
         """Its state, as reported last."""
         return State.NOT_READY if self.status is None else self.status.state
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What it reports without being in fault."""
+        found = []
+        if self.status is not None and self.status.statusword & StatusBit.WARNING:
+            found.append("it reports a warning")
+        if self.emergency is not None and self.state not in (State.FAULT, State.FAULT_REACTION):
+            code = self.emergency.code
+            found.append(f"emergency {code:04X}h, {emergency_name(code)}")
+        return tuple(found)
+
+    @property
+    def absence(self) -> str:
+        """Why it sends no process data, in words; empty if nothing is known about it."""
+        if self.nmt not in _SILENT_STATES:
+            return ""
+        why = f": {emergency_name(self.emergency.code)}" if self.emergency else ""
+        return f"it has left the operational state ({_SILENT_STATES[self.nmt]}{why})"
 
     @property
     def position(self) -> int:

@@ -15,7 +15,7 @@ from rtee.drivers.base import Driver
 from rtee.drivers.capabilities import Capabilities
 from rtee.drivers.cia402 import cia301, codec
 from rtee.drivers.cia402.cia301 import NmtCommand
-from rtee.drivers.cia402.codec import Control, DriveScale, Limits, Mode, Object, State, StatusBit
+from rtee.drivers.cia402.codec import Control, DriveScale, Limits, Mode, Object, State
 from rtee.drivers.cia402.cycle import MODES, SET_UP_WITHIN, DriveCycle
 from rtee.drivers.cia402.drive import DriveLink
 from rtee.drivers.cia402.options import Cia402Options
@@ -182,7 +182,7 @@ class Cia402Driver(Driver):
             await bus.run(partial(self._set_up, drive), SET_UP_WITHIN)
         for drive in cycle.drives:
             # A drive that was just switched on may have sent its boot-up message meanwhile.
-            drive.booted = False
+            drive.booted, drive.nmt = False, None
             bus.send_now(cia301.nmt(NmtCommand.START, drive.id))
         cycle.operational = True
         await self._attach(cycle)
@@ -289,9 +289,7 @@ class Cia402Driver(Driver):
             velocity=[d.scale.to_velocity(d.motion.velocity) for d in drives],
             effort=[d.scale.to_effort(d.motion.torque) for d in drives],
             warnings=tuple(
-                f"node {d.id} ({d.name}) reports a warning"
-                for d in drives
-                if d.status is not None and d.status.statusword & StatusBit.WARNING
+                f"node {d.id} ({d.name}): {text}" for d in drives for text in d.warnings
             ),
         )
 

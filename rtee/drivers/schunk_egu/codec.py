@@ -177,6 +177,41 @@ ERRORS: dict[int, str] = {
 }
 """Names of the error codes."""
 
+_COLD, _HOT = "let it warm up", "let it cool down"
+_SUPPLY = "check the 24 V supply"
+_BLOCKED = "free the fingers"
+_SILENCE = "check the cable, and that nothing delays this program"
+REMEDIES: dict[int, str] = {
+    0x03: "end the other program or controller that commands it",
+    0x28: "have its brake checked",
+    0x6C: _COLD,
+    0x6D: _HOT,
+    0x70: _COLD,
+    0x71: _HOT,
+    0x72: _SUPPLY,
+    0x73: _SUPPLY,
+    0x74: _SUPPLY,
+    0x75: _SUPPLY,
+    0x7C: "switch its supply off and on",
+    0x7E: "switch its supply off and on; if the error comes back, it needs service",
+    0xBA: "see what has moved the fingers",
+    0xBB: "see what has moved the fingers",
+    0xD5: "compare the actuator's limits with those of the gripper",
+    0xD6: "compare the actuator's limits with those of the gripper",
+    FAST_STOP: "see what has stopped it",
+    0xDE: _BLOCKED,
+    0xDF: _BLOCKED,
+    0xE4: "see what has moved the fingers",
+    SILENT: _SILENCE,
+    0xF0: _BLOCKED,
+    0xF1: _BLOCKED,
+    0xF2: "reference it with the maker's program",
+    0xF4: _BLOCKED,
+    UNHEARD: _SILENCE,
+    0xFB: "switch its supply off and on; if the error comes back, it needs service",
+}
+"""What removes the cause of an error, by its code; the others have no known remedy."""
+
 WARNINGS: dict[int, str] = {
     0x90: "electronics nearly too cold",
     0x91: "electronics nearly too hot",

@@ -572,8 +572,8 @@ class SchunkEguDriver(Driver):
             raise self._error(now.error, codec.ERRORS.get(now.error, "an undocumented error"))
 
     def _error(self, code: int, name: str) -> DeviceFault:
-        hint = "remove the cause, then `rtee recover`, which acknowledges it"
-        return self.fault(code, name, hint)
+        remedy = codec.REMEDIES.get(code, "remove the cause")
+        return self.fault(code, name, f"{remedy}, then `rtee recover`, which acknowledges it")
 
     # --- the wire ----------------------------------------------------------------------------
 

@@ -27,6 +27,7 @@ _ERRORS: Mapping[str, int] = {
     "motor_supply_low": 0x74,
     "overcurrent": 0xDE,
     "brake_test": 0x28,
+    "restart": 0x7C,
 }
 _WRITTEN: Mapping[codec.Parameter, int] = {
     codec.Parameter.COMMAND: 1,
@@ -130,6 +131,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
     def power_cycle(self, now: float) -> None:
         """Come back in a fast stop; encoder and brake keep the position."""
         self.line_reset()
+        self.faults.discard("restart")
         self._start(False)
 
     def _halt(self) -> None:

@@ -19,6 +19,8 @@ from rtee import monotonic
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_can import SimulatedCan
+from rtee.drivers.cia402 import cia301
+from rtee.drivers.cia402.cia301 import Emergency, NmtState
 from rtee.drivers.cia402.codec import State
 from rtee.drivers.cia402.driver import Cia402Driver
 from rtee.drivers.cia402.emulated_drive import DriveProperties
@@ -65,6 +67,49 @@ async def settle(made: Cia402Driver, goal: list[float], **limits: Any) -> np.nda
         if np.abs(state.position - goal).max() < 2e-3 or monotonic.now() > end:
             return state.position
         await anyio.sleep(0.01)
+
+
+@pytest.mark.anyio
+async def test_a_drive_that_another_master_stops_is_said_to_be_stopped() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        await made.activate()
+        await made.sense()
+        drives(pool).drives[5].node.state = NmtState.STOPPED
+        # Its heartbeat tells its state.
+        await anyio.sleep(0.15)
+        sentence = r"node 5 \(it has left the operational state \(stopped by another master\)\)"
+        with pytest.raises(BusTimeout, match=sentence):
+            await made.sense()
+
+
+@pytest.mark.anyio
+async def test_a_drive_that_has_lost_the_hosts_heartbeat_says_so() -> None:
+    async with BusPool() as pool, connected(pool, device(on_silence=0, watchdog=0.2)) as made:
+        await made.activate()
+        await made.sense()
+        await anyio.sleep(0.5)
+        with pytest.raises(BusTimeout, match=r"pre-operational: the host's heartbeat was lost"):
+            await made.sense()
+        await made.configure()
+        await made.activate()
+        assert await settle(made, [0.3]) == pytest.approx([0.3], abs=2e-3)
+
+
+@pytest.mark.anyio
+async def test_an_emergency_without_a_fault_is_a_warning_until_it_ends() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        await made.activate()
+        drive = drives(pool).drives[5]
+
+        async def told(code: int) -> tuple[str, ...]:
+            drive.emergencies.append(Emergency(code, cia301.error_register(code)))
+            await made.sense()
+            return (await made.sense()).warnings
+
+        assert await told(0x4310) == (
+            "node 5 (jaw0): emergency 4310h, over-temperature of the drive",
+        )
+        assert await told(0) == ()
 
 
 @pytest.mark.anyio

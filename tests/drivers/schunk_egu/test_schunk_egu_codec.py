@@ -13,6 +13,7 @@ from rtee.drivers.schunk_egu.codec import (
     ERRORS,
     FAST_STOP,
     MODULES,
+    REMEDIES,
     WARNINGS,
     Control,
     Input,
@@ -111,3 +112,5 @@ def test_models_errors_and_warnings_are_named() -> None:
     assert set(MODULES) == set(range(6, 28))
     assert all(name for name in (*ERRORS.values(), *WARNINGS.values()))
     assert {0x28, 0xD9, 0xEF, 0xF4} <= set(ERRORS)
+    # An invalid command is a fault of the driver, for which nobody knows a remedy.
+    assert set(ERRORS) - set(REMEDIES) == {0xD4}

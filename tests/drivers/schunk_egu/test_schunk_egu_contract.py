@@ -178,25 +178,42 @@ async def test_silence_is_an_error_that_connecting_again_acknowledges() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "code", "name"),
+    ("fault", "code", "name", "remedy"),
     [
-        ("motor_hot", 0x6D, "motor too hot"),
-        ("motor_supply_low", 0x74, "supply of the motor too low"),
-        ("overcurrent", 0xDE, "motor current too high"),
+        ("motor_hot", 0x6D, "motor too hot", "let it cool down, then `rtee recover`"),
+        ("motor_supply_low", 0x74, "supply of the motor too low", "check the 24 V supply, then"),
+        ("overcurrent", 0xDE, "motor current too high", "free the fingers, then"),
     ],
 )
-async def test_errors_have_names_and_are_acknowledged(fault: str, code: int, name: str) -> None:
+async def test_errors_have_names_and_are_acknowledged(
+    fault: str, code: int, name: str, remedy: str
+) -> None:
     async with Session(CASE) as session:
         await session.start()
         session.emulator.inject(fault)
         with pytest.raises(DeviceFault, match=name) as told:
             await session.sense()
-        assert (told.value.code, "rtee recover" in told.value.hint) == (code, True)
+        assert (told.value.code, told.value.hint.startswith(remedy)) == (code, True)
         with pytest.raises(DeviceFault, match=name):
             await session.driver.recover()
         session.emulator.clear()
         await session.driver.recover()
         assert Control.ACKNOWLEDGE in session.emulator.taken
+        await session.driver.activate()
+        assert session.near(await session.reach([0.01]), [0.01])
+
+
+async def test_an_error_that_only_a_restart_clears_says_so() -> None:
+    async with Session(CASE) as session:
+        await session.start()
+        session.emulator.inject("restart")
+        with pytest.raises(DeviceFault, match="restart required") as told:
+            await session.sense()
+        assert told.value.hint.startswith("switch its supply off and on")
+        with pytest.raises(DeviceFault, match="restart required"):
+            await session.driver.recover()
+        session.wire.power_cycle()
+        await session.driver.recover()
         await session.driver.activate()
         assert session.near(await session.reach([0.01]), [0.01])
 
