@@ -733,9 +733,11 @@ async def bring_to_rest(
 
 
 async def _open(loop: HandLoop) -> bool:
+    """Open the hand; return whether it can hold the posture that it has reached in time."""
     with anyio.move_on_after(OPEN_WITHIN):
+        goal = Goal(Named(OPEN), client=ITSELF, timeout=OPEN_WITHIN)
         try:
-            await loop.execute(Goal(Named(OPEN), client=ITSELF, timeout=OPEN_WITHIN), partly=True)
+            return not (await loop.execute(goal, partly=True)).aborted
         except RteeError as error:
             log.warning("%s cannot open: %s", loop.name, error)
             return False

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rtee.buses.pool import BusPool
-from rtee.commands import StreamTargets
+from rtee.commands import Abort, StreamTargets
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import BusTimeout, GoalRejected, RteeError
 from rtee.hand.config_schema import Behaviour, SafetySettings
@@ -436,6 +436,26 @@ async def test_without_ticks_the_end_comes_all_the_same(hand: Hand, behaviour: B
             Behaviour.DISABLE: ["disable"],
         }[behaviour]
         assert driver.told == expected
+
+
+async def test_a_hand_that_cannot_open_is_stopped(hand: Hand) -> None:
+    settings, driver = listening(hand)
+    async with running(hand, None, [(settings, driver)]) as rig:
+        assert (await rig.do("fist")).reached
+        driver.told.clear()
+        answers: dict[str, bool] = {}
+
+        async def rest() -> None:
+            answers.update(await bring_to_rest(rig.loop, Behaviour.OPEN, "the end"))
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(rest)
+            await rig.run(0.05)
+            rig.loop.controller.apply(Abort("a fault", hand.actuator_names), rig.clock.now())
+            while not answers:
+                await rig.run(0.01)
+        assert rig.watcher.results[-1].aborted
+        assert "stop" in driver.told
 
 
 async def test_the_end_keeps_a_grip(hand: Hand) -> None:
