@@ -224,6 +224,8 @@ class Interfaces:
             else:
                 self._derive(name)
         if name not in self._structures:
+            # Of services and actions, the first part is asked for first.
+            name = name.removesuffix("_Request").removesuffix("_Goal")
             raise MessageError(f"there is no type '{name}'; {suggestion(name, self.texts)}")
         return self._structures[name]
 

@@ -188,6 +188,17 @@ def test_wrong_fields_are_told() -> None:
         descriptor(integer_range=[ranged(), ranged()]).encode()
     with pytest.raises(MessageError, match="fields by name"):
         joints.from_dict([1])
+    for asked, given, hint in (
+        (
+            known.service,
+            "std_msgs/Strin",
+            "std_msgs/srv/Strin'; did you mean 'std_msgs/msg/String'",
+        ),
+        (known.service, "std_srvs/Trig", "std_srvs/srv/Trig'; did you mean 'std_srvs/srv/Trigger'"),
+        (known.action, "rtee_msgs/Gras", "rtee_msgs/action/Gras'; did you mean"),
+    ):
+        with pytest.raises(MessageError, match=f"there is no type '{hint}"):
+            asked(given)
     with pytest.raises(MessageError, match="did you mean 'std_msgs/msg/String'"):
         known.topic("std_msgs/msg/Strin")
 
