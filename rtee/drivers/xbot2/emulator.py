@@ -23,6 +23,7 @@ class ServerProperties(Section, frozen=True):
     """Properties of the emulated server.
 
     Attributes:
+        joints: Names of the joints; by default as in the configuration ``dagana``.
         lower: Lower end of all joints.
         upper: Upper end of all joints.
         start: Their initial position.
@@ -31,7 +32,7 @@ class ServerProperties(Section, frozen=True):
         rate: Rate of the states [Hz].
     """
 
-    joints: tuple[str, ...] = ("dagana_1_claw_joint",)
+    joints: tuple[str, ...] = ("dagana_gripper_claw_joint",)
     lower: float = 0.0
     upper: float = 1.0
     start: float = 0.2

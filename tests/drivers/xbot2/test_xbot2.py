@@ -23,6 +23,7 @@ from rtee.drivers.xbot2.codec import Command, Control, State
 from rtee.drivers.xbot2.driver import XBot2Driver
 from rtee.drivers.xbot2.emulator import ServerProperties, XBot2Emulator
 from rtee.errors import BusTimeout, ConfigError, HandshakeError, NotConnected
+from rtee.hand.load import load_configured
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
 from tests.drivers.objects import obstruct
 from tests.drivers.use import connecting
@@ -312,6 +313,12 @@ async def test_what_is_missing_is_named() -> None:
 async def test_mistakes_are_told(options: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ConfigError, match=sentence):
         XBot2Driver(device(**options), BusPool())
+
+
+def test_the_emulator_has_the_joint_of_the_shipped_configuration() -> None:
+    _, config = load_configured("dagana")
+    options = config.devices["gripper"].options
+    assert set(XBot2Emulator().joints) == {each["joint"] for each in options["joints"].values()}
 
 
 def test_a_client_of_raw_bytes_talks_to_the_server() -> None:
