@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
@@ -60,6 +61,14 @@ class As:
 def field(name: str, unpack: Callable[[Any], Any] = lambda value: value) -> As:
     """Return the conversion of an attribute to a field of this name, with the same value."""
     return As({name: lambda value: value}, unpack)
+
+
+def optional(name: str) -> As:
+    """Return the conversion of an optional number to a field, with ``NaN`` for ``None``."""
+    return As(
+        {name: lambda value: math.nan if value is None else value},
+        lambda value: None if math.isnan(value) else value,
+    )
 
 
 def paired(what: str, names: Sequence[str], values: Sequence[Any]) -> dict[str, Any]:
@@ -126,7 +135,7 @@ class Codec(Generic[T]):
         held: Conversions of the attributes that differ from a field of the same name.
 
     Attributes:
-        kind: The type of the messages, which begin with a header.
+        kind: The type of the messages; those that are encoded and decoded here have a header.
     """
 
     def __init__(
@@ -152,16 +161,18 @@ class Codec(Generic[T]):
         for attribute, conversion in held.items():
             # By a function, since a lambda in this loop would see only the last attribute.
             get |= {name: _packing(attribute, pack) for name, pack in conversion.pack.items()}
-        # All types begin with a header, which `_BEGIN` writes and `decode` skips.
+        # `_BEGIN` writes the header, and `decode` skips it; messages for nesting may have none.
+        self._headed = self.kind.fields[0].name == "header"
         # Interned, or Python would compare the names of options letter by letter.
-        rest = [(intern(field.name), field) for field in self.kind.fields[1:]]
+        rest = [(intern(field.name), field) for field in self.kind.fields[self._headed :]]
         self._writers = [(name, writer_of(field), get.get(name)) for name, field in rest]
         self._readers = [(name, _reader_of(field)) for name, field in rest]
 
     def fields(self, value: T, *, time: float = 0.0, wall: int = 0) -> dict[str, Any]:
         """Return the fields of a message, to nest it in another one; arguments as `encode`."""
         fields = self._pack(value, time)
-        return {"header": header(wall), **{name: fields[name] for name, _, _ in self._writers}}
+        begin = {"header": header(wall)} if self._headed else {}
+        return {**begin, **{name: fields[name] for name, _, _ in self._writers}}
 
     def _pack(self, value: T, time: float) -> Mapping[str, Any]:
         if self._whole is not None:

@@ -25,7 +25,7 @@ from rtee.commands import (
     StreamTargets,
 )
 from rtee.errors import MessageError
-from rtee.messages.codec import As, Codec, field, mapping, paired, word
+from rtee.messages.codec import As, Codec, field, mapping, optional, paired, word
 from rtee.messages.schema import message_type
 from rtee.objects.description import ObjectDescription, ObjectPart
 from rtee.objects.shape import Table
@@ -40,14 +40,6 @@ from rtee.types import (
 )
 
 _STRING = message_type("std_msgs/msg/String")
-
-
-def _number(name: str) -> As:
-    """Return the conversion of an optional number to a field, with ``NaN`` for ``None``."""
-    return As(
-        {name: lambda value: math.nan if value is None else value},
-        lambda value: None if math.isnan(value) else value,
-    )
 
 
 _AIM = word("aim", Aim, "aim '{:.50}' must be posture, object or contact")
@@ -65,14 +57,14 @@ RESULT = Codec(
     grasped_fingers=field("grasped_fingers", tuple),
     position=mapping("position_name", "position"),
     elements=field("elements", tuple),
-    opening=_number("opening"),
+    opening=optional("opening"),
     # 0 in recordings from before this field existed.
     opening_error=As(
         {"opening_error": lambda value: math.nan if value is None else value},
         lambda value: value or None if value == value else None,
     ),
-    force=_number("force"),
-    force_error=_number("force_error"),
+    force=optional("force"),
+    force_error=optional("force_error"),
     within=As(
         {"within": lambda within: -1 if within is None else int(within)},
         lambda number: None if number < 0 else number == 1,

@@ -32,7 +32,7 @@ from rtee.planning.grasp_solution import GraspSolution, WantedContact
 from rtee.planning.grasp_solution import from_document as solution_in
 from rtee.planning.question import Question, ReachQuestion, question_about
 from rtee.planning.result import Ranking, from_document
-from rtee.remote.actions import action_fields, action_of, group_of
+from rtee.remote.actions import GROUP, action_fields, action_of
 from rtee.remote.goal import GoalClient
 from rtee.remote.goal_values import numbers, word_of
 from rtee.remote.hand_info import info_of
@@ -70,7 +70,7 @@ class LibraryClient:
 
     async def primitives(self) -> list[PrimitiveGroup]:
         """Return the primitives grouped by name, as a user interface shows them."""
-        return [group_of(entry) for entry in (await self._link.ask("primitives"))["groups"]]
+        return [GROUP.of(entry) for entry in (await self._link.ask("primitives"))["groups"]]
 
     async def partners(self, name: str, element: str) -> tuple[str, ...]:
         """Return the elements with which a given one can be combined in a primitive."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 from rtee.actions.build import StepPlan, generic
 from rtee.actions.library import ActionLibrary
@@ -24,8 +24,78 @@ from rtee.actions.types import (
     kind_of,
 )
 from rtee.errors import ActionError, MessageError
+from rtee.messages.codec import As, Codec, field, mapping, optional
 
 Fields = Mapping[str, Any]
+
+GROUP: Final = Codec(
+    "rtee_msgs/msg/PrimitiveGroup",
+    PrimitiveGroup,
+    selectable=field("selectable", tuple),
+    combinations=As(
+        {"combinations": lambda several: [{"elements": elements} for elements in several]},
+        lambda entries: tuple(tuple(entry["elements"]) for entry in entries),
+    ),
+)
+
+_POSTURE: Final = Codec(
+    "rtee_msgs/msg/Posture",
+    Posture,
+    position=mapping("name", "position"),
+    involved=field("involved", tuple),
+)
+
+
+def _triple(name: str) -> As:
+    return As(
+        {name: lambda value: value or ()},
+        lambda values: tuple(values) if len(values) == 3 else None,
+    )
+
+
+def _in_pairs(names: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    if len(names) % 2:
+        raise MessageError("the evidence has names that are not pairs")
+    return tuple(zip(names[::2], names[1::2], strict=True))
+
+
+def _touching(names: Sequence[str], depths: Sequence[float]) -> tuple[tuple[str, str, float], ...]:
+    if len(names) != 2 * len(depths):
+        raise MessageError("the evidence has names that are not pairs")
+    return tuple(zip(names[::2], names[1::2], depths, strict=True))
+
+
+def _opposition(angles: Sequence[float], force_closure: bool, friction: float) -> Opposition | None:
+    if len(angles) not in (0, 2):
+        raise MessageError("the evidence has angles that are not a pair")
+    return Opposition((angles[0], angles[1]), force_closure, friction) if angles else None
+
+
+_EVIDENCE: Final = Codec(
+    "rtee_msgs/msg/Evidence",
+    Evidence,
+    frame_distance=optional("frame_distance"),
+    contact_at=optional("contact_at"),
+    clearance=optional("clearance"),
+    point=_triple("point"),
+    normal=_triple("normal"),
+    colliding=As({"colliding": lambda pairs: [name for pair in pairs for name in pair]}, _in_pairs),
+    pairs=As(
+        {
+            "pair": lambda pairs: [name for first, second, _ in pairs for name in (first, second)],
+            "pair_depth": lambda pairs: [depth for _, _, depth in pairs],
+        },
+        _touching,
+    ),
+    opposition=As(
+        {
+            "angles": lambda found: found.angles if found else (),
+            "force_closure": lambda found: found is not None and found.force_closure,
+            "friction": lambda found: found.friction if found else math.nan,
+        },
+        _opposition,
+    ),
+)
 
 
 def action_fields(action: Action, stored: bool = True) -> dict[str, Any]:
@@ -46,30 +116,22 @@ def action_fields(action: Action, stored: bool = True) -> dict[str, Any]:
         case Primitive():
             # A primitive has no description: it returns before that is filled in.
             fields["elements"], fields["fingers"] = action.elements, action.fingers
-            fields["postures"] = [_posture_fields(posture) for posture in action.postures]
-            fields["evidence"] = [_evidence_fields(evidence) for evidence in action.evidence]
+            fields["postures"] = list(map(_POSTURE.fields, action.postures))
+            fields["evidence"] = list(map(_EVIDENCE.fields, action.evidence))
             return fields
         case Composed():
             fields["independent"] = action.independent
             fields["parts"] = [_part_fields(part) for part in action.parts]
-            fields["postures"] = [_posture_fields(action.posture)]
+            fields["postures"] = [_POSTURE.fields(action.posture)]
         case Generic():
-            fields["postures"] = [_posture_fields(action.posture)]
+            fields["postures"] = [_POSTURE.fields(action.posture)]
         case Timed():
             fields["parts"] = [
                 _part_fields(step.use, step.alias, step.before, step.after) for step in action.steps
             ]
-            fields["postures"] = [_posture_fields(step.posture) for step in action.steps]
+            fields["postures"] = [_POSTURE.fields(step.posture) for step in action.steps]
     fields["description"] = action.description
     return fields
-
-
-def _posture_fields(posture: Posture) -> dict[str, Any]:
-    return {
-        "name": list(posture.position),
-        "position": list(posture.position.values()),
-        "involved": posture.involved,
-    }
 
 
 def _part_fields(
@@ -82,31 +144,6 @@ def _part_fields(
         "alias": alias,
         "before": before,
         "after": after,
-    }
-
-
-def _known(value: float | None) -> float:
-    return math.nan if value is None else value  # messages have no optional numbers
-
-
-def _evidence_fields(evidence: Evidence) -> dict[str, Any]:
-    opposition = evidence.opposition
-    return {
-        "depth": evidence.depth,
-        "distance": evidence.distance,
-        "frame_distance": _known(evidence.frame_distance),
-        "contact_at": _known(evidence.contact_at),
-        "point": evidence.point or (),
-        "normal": evidence.normal or (),
-        "clear": evidence.clear,
-        "path_clear": evidence.path_clear,
-        "clearance": _known(evidence.clearance),
-        "colliding": [name for pair in evidence.colliding for name in pair[:2]],
-        "pair": [name for first, second, _ in evidence.pairs for name in (first, second)],
-        "pair_depth": [depth for _, _, depth in evidence.pairs],
-        "angles": opposition.angles if opposition else (),
-        "force_closure": opposition.force_closure if opposition else False,
-        "friction": opposition.friction if opposition else math.nan,
     }
 
 
@@ -134,13 +171,10 @@ def action_of(fields: Fields) -> Action:
 
 
 def _posture_from(fields: Fields) -> Posture:
-    if len(fields["name"]) != len(fields["position"]):
-        raise MessageError("a posture has different numbers of names and positions")
-    position = dict(zip(fields["name"], fields["position"].tolist(), strict=True))
-    involved = tuple(fields["involved"])
-    if not set(involved) <= set(position):
+    posture = _POSTURE.of(fields)
+    if not set(posture.involved) <= set(posture.position):
         raise MessageError("a posture involves an actuator without a position")
-    return Posture(position, involved)
+    return posture
 
 
 def _use_of(fields: Fields) -> ActionReference:
@@ -154,47 +188,11 @@ def _primitive_of(fields: Fields, postures: list[Posture]) -> Primitive:
         kind = PrimitiveKind(base)
     except ValueError:
         raise MessageError(f"unknown primitive '{fields['name']}'") from None
-    evidence = tuple(_evidence_of(entry) for entry in fields["evidence"])
+    evidence = tuple(map(_EVIDENCE.of, fields["evidence"]))
     if not postures or len(evidence) not in (0, len(postures)):
         raise MessageError(f"the primitive '{fields['name']}' has no postures")
     fingers = tuple(fields["fingers"])
     return Primitive(kind, tuple(fields["elements"]), tuple(postures), evidence, fingers=fingers)
-
-
-def _optional(value: float) -> float | None:
-    return None if math.isnan(value) else value
-
-
-def _triple(values: Any) -> tuple[float, float, float] | None:
-    if len(values) != 3:
-        return None
-    x, y, z = values.tolist()
-    return (x, y, z)
-
-
-def _evidence_of(fields: Fields) -> Evidence:
-    pairs, links, angles = fields["pair"], fields["colliding"], fields["angles"].tolist()
-    depths = fields["pair_depth"].tolist()
-    if len(pairs) != 2 * len(depths) or len(links) % 2 or len(angles) not in (0, 2):
-        raise MessageError("the evidence has names that are not pairs")
-    opposition = None
-    if angles:
-        pair = (angles[0], angles[1])
-        opposition = Opposition(pair, fields["force_closure"], fields["friction"])
-    return Evidence(
-        depth=fields["depth"],
-        distance=fields["distance"],
-        frame_distance=_optional(fields["frame_distance"]),
-        contact_at=_optional(fields["contact_at"]),
-        point=_triple(fields["point"]),
-        normal=_triple(fields["normal"]),
-        clear=fields["clear"],
-        path_clear=fields["path_clear"],
-        clearance=_optional(fields["clearance"]),
-        colliding=tuple(zip(links[::2], links[1::2], strict=True)),
-        pairs=tuple(zip(pairs[::2], pairs[1::2], depths, strict=True)),
-        opposition=opposition,
-    )
 
 
 def build_action(library: ActionLibrary, fields: Fields) -> Action:
@@ -224,24 +222,4 @@ def build_action(library: ActionLibrary, fields: Fields) -> Action:
             return generic(library.hand, name, chosen, description=description)
     raise ActionError(
         f"only composed, timed and generic actions can be added, not {fields['kind']}"
-    )
-
-
-def group_fields(group: PrimitiveGroup) -> dict[str, Any]:
-    """Return the fields of a ``rtee_msgs/PrimitiveGroup``."""
-    return {
-        "name": group.name,
-        "selectable": group.selectable,
-        "count": group.count,
-        "combinations": [{"elements": elements} for elements in group.combinations],
-    }
-
-
-def group_of(fields: Fields) -> PrimitiveGroup:
-    """Return the group in the fields of a ``rtee_msgs/PrimitiveGroup``."""
-    return PrimitiveGroup(
-        fields["name"],
-        tuple(fields["selectable"]),
-        fields["count"],
-        tuple(tuple(entry["elements"]) for entry in fields["combinations"]),
     )

@@ -26,11 +26,12 @@ from rtee.hand.own_copy import TRIALS, copy_notice
 from rtee.hand.yamlfile import emit
 from rtee.loop.handloop import HandLoop
 from rtee.loop.planning import OPEN
+from rtee.messages.codec import paired
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT, table_of
 from rtee.messages.touch import reply_fields
 from rtee.objects.description import NO_OBJECT
 from rtee.planning.question import Question, ReachQuestion, ask
-from rtee.remote.actions import action_fields, build_action, group_fields
+from rtee.remote.actions import GROUP, action_fields, build_action
 from rtee.remote.agents import Agents
 from rtee.remote.call_queue import CallQueue, LoopThread
 from rtee.remote.goal_records import GoalRecords
@@ -217,7 +218,7 @@ class QueryHandlers:
             "info": self._info,
             "robot_description": lambda _: {"data": self._hand.urdf.text},
             "actions": self._actions,
-            "primitives": lambda _: {"groups": list(map(group_fields, self._library.primitives()))},
+            "primitives": lambda _: {"groups": list(map(GROUP.fields, self._library.primitives()))},
             "partners": lambda fields: {
                 "names": self._library.partners(fields["name"], fields["what"])
             },
@@ -320,10 +321,8 @@ class QueryHandlers:
         return str(status.path or "") if status and status.recording else ""
 
     def _info(self, fields: Fields) -> Fields:
-        names, positions = fields["name"], fields["position"].tolist()
-        if len(names) != len(positions):
-            raise RteeError("a posture needs as many positions as names")
-        return info_fields(self._hand, dict(zip(names, positions, strict=True)))
+        positions = paired("position", fields["name"], fields["position"].tolist())
+        return info_fields(self._hand, positions)
 
     def _record(self, fields: Fields) -> Fields:
         recorder, verb, text = self._recording, fields["what"], fields["text"]
