@@ -176,8 +176,8 @@ class ModbusBus(SerialBus):
         parser = AnswerParser(self._framer, request, head, self._behind)
 
         def numbered() -> bytes:
-            # 1 to 65535, since the header has two bytes for it; another number in each attempt.
-            self._number = self._number % 0xFFFF + 1
+            # The header has two bytes for it; another number in each attempt.
+            self._number = (self._number + 1) % 0x10000
             return parser.request(self._number)
 
         answer = await self.transact(

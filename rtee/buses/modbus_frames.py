@@ -85,7 +85,7 @@ class AnswerParser:
             self._openings = tuple(
                 # MBAP header: transaction number, protocol 0, length of the rest, unit.
                 struct.pack(">HHHB", transaction, 0, size + 1, unit) + pdu
-                for transaction in range(number, max(number - self._behind, 0) - 1, -1)
+                for transaction in [(number - lag) % 0x10000 for lag in range(self._behind + 1)]
                 for pdu, size in self._pdus
             )
         else:

@@ -157,6 +157,10 @@ def test_a_device_that_counts_behind_is_heard_where_that_is_allowed() -> None:
             parser = AnswerParser(framer, request, b"\x02", behind)
             parser.request(5)
             assert len(parser.feed(answer)) == times
+    # The number before 0 is the largest one of two bytes.
+    parser = AnswerParser(framer, request, b"\x02", 1)
+    parser.request(0)
+    assert len(parser.feed(bytes.fromhex("FFFF 0000 0005 01 03 02 00 2A"))) == 1
 
 
 @pytest.mark.parametrize("cut", range(1, 19))

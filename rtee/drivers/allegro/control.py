@@ -14,6 +14,9 @@ _STILL = 0.2
 _GAP = 0.1
 """Longest time between two sets of frames [s]. A longer one means that frames were lost, so neither
 velocity nor integral can be computed."""
+_PARTIAL = 4 * FINGERS
+"""Frames without a complete set after which a finger counts as missing; the vendor's program for
+earlier hands tolerates three incomplete sets."""
 _CLOSE = 0.002
 """Error below which the integral does not grow [rad], as it would only make the joint oscillate."""
 
@@ -66,6 +69,8 @@ class JointControl:
         self._pause = 0.5 * period if period else math.inf
         self._heard = -math.inf
         self._parted = False
+        self._partial = 0
+        self._stamps = [-math.inf] * FINGERS
         self._most_integral = most_integral
         self._integral = [0.0] * JOINTS
         self._period = 0.0
@@ -92,9 +97,11 @@ class JointControl:
     def receive(self, finger: int, counts: Sequence[int], stamp: float) -> list[list[int]] | None:
         """Receive the counts of one finger's four joints, with their time of arrival [s].
 
-        Returns the counts of all torques if the set is complete.
+        Returns the counts of all torques if the set is complete. While a finger is missing, they
+        are all 0: the hand would keep its last torques, wherever these move it.
         """
         pause, self._heard = stamp - self._heard > self._pause, stamp
+        self._stamps[finger] = stamp
         if pause and self._fresh and not self._parted:
             # After a lost frame, this set and all later ones would begin in the middle of another.
             self._fresh.clear()
@@ -103,11 +110,24 @@ class JointControl:
         self._fresh[finger] = tuple(self.scale.to_rad(count) for count in counts)
         # All four, so that all torques follow from positions of the same time.
         if len(self._fresh) < FINGERS:
-            return None
+            self._partial += 1
+            return self._none() if self.sets and self._partial == _PARTIAL else None
+        self._partial = 0
         measured = [angle for f in range(FINGERS) for angle in self._fresh[f]]
         self._fresh.clear()
         self._measure(measured, stamp)
         return self._torques()
+
+    def missing(self, since: float) -> list[int]:
+        """Return the fingers that have sent no frame since a time [s], if others have."""
+        silent = [finger for finger, stamp in enumerate(self._stamps) if stamp < since]
+        return silent if len(silent) < FINGERS else []
+
+    def _none(self) -> list[list[int]]:
+        """Return no torque for any joint."""
+        self.torque = [0.0] * JOINTS
+        self._integral = [0.0] * JOINTS
+        return [[0] * PER_FINGER] * FINGERS
 
     def _measure(self, measured: list[float], stamp: float) -> None:
         dt = stamp - self.stamp

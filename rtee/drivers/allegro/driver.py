@@ -346,8 +346,10 @@ class AllegroDriver(Driver):
         control = self.control
         # Positions are not requested: the next ones are due after a period.
         longest = self._period(control.scale.version) * 1e-3 + self.options.deadline
-        if monotonic.now() - control.stamp > longest:
-            raise BusTimeout(bus.name, f"no positions for more than {longest:g} s")
+        if (now := monotonic.now()) - control.stamp > longest:
+            silent = [codec.NAMES[finger] for finger in control.missing(now - longest)]
+            of = f" of {', '.join(silent)}" if silent else ""
+            raise BusTimeout(bus.name, f"no positions{of} for more than {longest:g} s")
         fresh, self._returned = control.sets != self._returned, control.sets
         info = self._info
         temperature = math.nan if info is None else float(info.temperature)

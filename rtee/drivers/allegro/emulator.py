@@ -39,6 +39,8 @@ _SERIALS = {
 }
 """Serial numbers by version and side (left or not). They contain the side and, in version 5, the
 type, where the vendor's program looks for them."""
+_RING = 2
+"""The finger that sends no positions with the fault ``silent_finger``."""
 _CLOSED = 1.6
 """Angle of the flexing joints of a closed finger [rad], for placing objects."""
 _HOT = 90.0
@@ -122,7 +124,7 @@ class AllegroEmulator(Emulator, Grasps):
 
     PROPERTIES = AllegroProperties
     SHARED = ("hand", "version")
-    FAULTS = Emulator.FAULTS | frozenset(_FAULTS) | {"silent"}
+    FAULTS = Emulator.FAULTS | frozenset(_FAULTS) | {"silent", "silent_finger"}
     period = 0.0005
 
     def __init__(self, properties: AllegroProperties | None = None) -> None:
@@ -175,7 +177,8 @@ class AllegroEmulator(Emulator, Grasps):
         period = self.periods.joints / 1000.0
         # Counted from the last due time, to keep the rate; a pause causes no burst of old frames.
         self._next = max(self._next + period, now)
-        return [self._pose(finger) for finger in range(codec.FINGERS)]
+        silent = _RING if "silent_finger" in self.faults else None
+        return [self._pose(finger) for finger in range(codec.FINGERS) if finger != silent]
 
     def _advance(self, now: float) -> None:
         dt = self._elapsed(now)

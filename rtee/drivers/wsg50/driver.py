@@ -55,6 +55,10 @@ _WARNINGS: Mapping[codec.State, str] = {
     codec.State.SOFT_LIMIT_PLUS: "at its upper soft limit",
     codec.State.SCRIPT_ERROR: "its script has failed",
 }
+_GRASP_WARNINGS: Mapping[codec.Grasping, str] = {
+    codec.Grasping.PART_LOST: "part lost",
+    codec.Grasping.ERROR: "its grasp has failed",
+}
 _GRASP_MOVES = frozenset(
     {codec.Grasping.CLOSING, codec.Grasping.RELEASING, codec.Grasping.POSITIONING}
 )
@@ -216,8 +220,14 @@ class Wsg50Driver(Driver):
             velocity=[-report.speed / self._speed_of],
             effort=[self.effort.gain * report.force],
             grasped=(self._holds,),
-            warnings=tuple(text for bit, text in _WARNINGS.items() if report.state & bit),
+            warnings=self._warnings(report),
         )
+
+    @staticmethod
+    def _warnings(report: WsgReport) -> tuple[str, ...]:
+        states = [text for bit, text in _WARNINGS.items() if report.state & bit]
+        grasps = [text for state, text in _GRASP_WARNINGS.items() if report.grasping is state]
+        return (*states, *grasps)
 
     @property
     def _holds(self) -> bool:

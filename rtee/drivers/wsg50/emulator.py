@@ -372,6 +372,13 @@ class Wsg50Emulator(Emulator, Grasps):
     def _advance(self, dt: float) -> Status | None:
         """Let time pass; return the result of a motion that has ended."""
         self.axis.advance(dt)
+        if (
+            self._grasping is Grasping.HOLDING
+            and abs(self.axis.position - self.axis.target) < _NEAR
+        ):
+            # The fingers have closed over where the part was.
+            self._grasping = Grasping.PART_LOST
+            self.halt()
         if self._running is None or self.axis.moving:
             return None
         there = abs(self.axis.position - self.axis.target) < _NEAR

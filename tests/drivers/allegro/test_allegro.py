@@ -382,6 +382,24 @@ async def test_a_hand_that_falls_silent_is_noticed(options: dict[str, Any], late
 
 
 @pytest.mark.anyio
+async def test_a_finger_that_falls_silent_is_named_and_the_hand_goes_limp() -> None:
+    async with BusPool() as pool, connected(pool, device(info_every=10_000)) as made:
+        await made.activate()
+        await made.move(Reference.at(np.full(16, 1.0)))
+        await until(lambda: max(abs(joint.torque) for joint in hand(pool).joints) > 0.1)
+        hand(pool).inject("silent_finger")
+        # Well before anybody asks for the state: the hand would keep its last torques.
+        await anyio.sleep(0.03)
+        assert not any(joint.torque for joint in hand(pool).joints)
+        await anyio.sleep(0.1)
+        with pytest.raises(BusTimeout, match=r"no positions of ring for more than 0\.103 s"):
+            await made.sense()
+        hand(pool).clear()
+        await until(lambda: any(joint.torque for joint in hand(pool).joints))
+        await made.sense()
+
+
+@pytest.mark.anyio
 @pytest.mark.parametrize(
     ("options", "error", "sentence"),
     [

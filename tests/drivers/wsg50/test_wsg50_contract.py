@@ -232,3 +232,20 @@ async def test_a_stop_right_behind_a_release_is_sent() -> None:
         stopped = session.emulator.axis.position
         await asyncio.sleep(0.3)
         assert session.emulator.axis.position == pytest.approx(stopped, abs=3.0)
+
+
+async def test_a_part_that_slips_out_of_a_grasp_is_lost() -> None:
+    part = VirtualObject(40.0, 1e3, closing=-1.0)
+    async with Session(CASE) as session:
+        await session.start()
+        await session.reach([0.01])
+        session.wire.call(lambda: setattr(session.emulator.axis, "obstacle", part))
+        held = await cycled(session, 0.045, max_effort=[40.0])
+        assert (held.grasped, held.warnings) == ((True,), ())
+        session.wire.call(lambda: setattr(session.emulator.axis, "obstacle", None))
+        lost = ()
+        for _ in range(100):
+            state = await session.sense()
+            lost = lost or state.warnings
+            await asyncio.sleep(0.005)
+        assert (state.grasped, lost) == ((False,), ("part lost",))
