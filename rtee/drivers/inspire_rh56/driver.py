@@ -243,6 +243,8 @@ class InspireRh56Driver(Driver):
             options.port,
             lambda bus: FrameLink(bus, *arguments),
             baudrate=options.baudrate,
+            # A reply names its registers, but not its request: a late one would be an old state.
+            fresh=True,
         )
 
     async def _pause(self) -> None:

@@ -153,6 +153,8 @@ class SchunkSvhDriver(Driver):
             options.port,
             lambda bus: SvhLink(bus, options.deadline, options.retries),
             baudrate=codec.BAUDRATE,
+            # Where replies carry no index, a late one could be taken for the next.
+            fresh=True,
         )
         with self.identifying(
             "an SVH",
