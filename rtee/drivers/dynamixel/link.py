@@ -60,6 +60,8 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
 
     Attributes:
         errors: Error byte of each servo's last answer, by id.
+        stopped: The servo whose answer was missing or damaged in the last plain read, after others
+            had answered; ``None``: no servo, or the first one.
     """
 
     def __init__(
@@ -67,17 +69,20 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
     ) -> None:
         super().__init__(port, packets, address, size)
         self.errors: dict[int, int] = {}
+        self.stopped: int | None = None
         for number in ids:
             self.addParam(number)
 
     def rxPacket(self) -> int:  # noqa: N802 - the SDK's name
         """Receive one answer per servo."""
         self.last_result = False
+        self.stopped, first = None, next(iter(self.data_dict))
         for number in self.data_dict:
             packet, result = self.ph.rxPacket(self.port, False)
             while result == sdk.COMM_SUCCESS and packet[_ID] != number:
                 packet, result = self.ph.rxPacket(self.port, False)
             if result != sdk.COMM_SUCCESS:
+                self.stopped = None if number == first else number
                 return int(result)
             # One of another length answers an earlier request.
             if _data_size(packet) != self.data_length:
@@ -244,9 +249,23 @@ class DynamixelLink(ServoLink):
                 self._groups[address, size] = group
         else:
             group = GroupRead(self.bus.port, self.bus.packets, address, size, ids)
-        self.repeated(group.fastSyncRead if self.fast else group.txRxPacket)
+        try:
+            self.repeated(group.fastSyncRead if self.fast else group.txRxPacket)
+        except (BusTimeout, FrameError) as error:
+            raise self._named(group) or error from error.__cause__
         answers = {n: bytes(data) for n, data in group.data_dict.items()}
         return answers, group.errors
+
+    def _named(self, group: GroupRead) -> BusTimeout | None:
+        """Return the error that names the servo which does not answer; ``None``: not known."""
+        if self.fast:
+            # Its single answer breaks off at the missing servo, so only a plain read shows which.
+            self.bus.port.is_using = False
+            if group.txRxPacket() == sdk.COMM_SUCCESS:
+                return None
+        if group.stopped is None:
+            return None
+        return BusTimeout(self.bus.name, f"no answer from servo {group.stopped}")
 
     def write_group(self, register: Register, values: Mapping[int, int]) -> None:
         """Write a register of several servos at once; servos do not answer."""

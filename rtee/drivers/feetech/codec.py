@@ -157,6 +157,11 @@ class GroupParser:
         """Replies dropped for a bad length, content or checksum."""
         return self._replies.errors
 
+    @property
+    def missing(self) -> list[int]:
+        """The servos whose reply has not come since the last `reset`, by id."""
+        return sorted(self._ids - self._found.keys())
+
     def reset(self) -> None:
         """Discard the received bytes."""
         self._replies.reset()

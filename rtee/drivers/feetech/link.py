@@ -11,6 +11,7 @@ from rtee.drivers.deadlines import RelaxedDeadline
 from rtee.drivers.feetech import codec
 from rtee.drivers.feetech.table import MODEL, Family, Register
 from rtee.drivers.servos import ServoLink
+from rtee.errors import BusTimeout, FrameError
 
 
 class FeetechLink(RelaxedDeadline, ServoLink):
@@ -100,13 +101,19 @@ class FeetechLink(RelaxedDeadline, ServoLink):
             return {number: await self.read(number, address, size) for number in ids}
         key = frozenset(ids), size
         parser = self._groups.setdefault(key, codec.GroupParser(ids, size))
-        return await self._bus.transact(
-            codec.sync_read(address, size, ids),
-            parser,
-            self._longest(size, len(ids)),
-            self._retries,
-            whom=f"{len(ids)} servos",
-        )
+        try:
+            return await self._bus.transact(
+                codec.sync_read(address, size, ids),
+                parser,
+                self._longest(size, len(ids)),
+                self._retries,
+                whom=f"{len(ids)} servos",
+            )
+        except FrameError as error:
+            if not parser.missing or len(parser.missing) == len(ids):
+                raise
+            numbers = ", ".join(str(number) for number in parser.missing)
+            raise BusTimeout(self._bus.name, f"no answer from servo {numbers}") from error
 
     async def values(self, register: Register, numbers: Collection[int]) -> dict[int, int]:
         """Return the value of a register of several servos, by id; raises `BusError`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +30,7 @@ from rtee.drivers.dynamixel.table import Mode
 from rtee.drivers.servo_lines import ServoScale, ServoScales
 from rtee.errors import (
     BusError,
+    BusTimeout,
     CalibrationError,
     ConfigError,
     DeviceFault,
@@ -382,6 +384,18 @@ async def test_what_another_program_left_does_not_slow_or_weaken_the_motors() ->
             assert each.get(table.GOAL_PWM) == 885
             assert each.get(table.PROFILE_ACCELERATION) == 0
         assert await settle(made, [0.5, 0.5]) == pytest.approx([0.5, 0.5], abs=2e-3)
+
+
+@pytest.mark.parametrize("fast", ["auto", "never"])
+async def test_the_one_servo_that_falls_silent_is_named(fast: str) -> None:
+    async with BusPool() as pool, connected(pool, device(3, fast=fast, retries=1)) as made:
+        await made.activate()
+        line(pool).ordered[1].silent_until = math.inf
+        with pytest.raises(BusTimeout, match=r"no answer from servo 1$"):
+            await made.sense()
+        line(pool).ordered[0].silent_until = math.inf
+        with pytest.raises(BusTimeout, match=r"no answer$"):
+            await made.sense()
 
 
 async def test_an_answer_to_an_earlier_request_is_not_taken_for_this_one() -> None:

@@ -322,6 +322,20 @@ async def test_a_stop_ends_the_turning_of_a_servo_in_another_mode() -> None:
         assert (await session.sense()).velocity[1] == 0.0
 
 
+@pytest.mark.parametrize("read", ["sync", "single"])
+async def test_the_one_servo_that_falls_silent_is_named(read: str) -> None:
+    async with Session(case(read=read, check_every=10_000)) as session:
+        await session.start()
+        second = session.emulator.ordered[1]
+        session.wire.call(lambda: setattr(second, "silent_until", math.inf))
+        with pytest.raises(BusTimeout, match=r"servo 2\b"):
+            await session.driver.sense()
+        # It may have restarted meanwhile, so it is checked as soon as it answers.
+        session.wire.call(lambda: second.reboot(0.0))
+        with pytest.raises(DeviceFault, match=r"(restarted|torque lost): servo 2"):
+            await session.sense()
+
+
 async def test_after_a_silence_every_servo_is_checked() -> None:
     servo = {"reboot_time": 0.0}
     async with Session(case(check_every=10_000, emulator={"servo": servo})) as session:
