@@ -291,8 +291,7 @@ class Planner:
 
     def _search(self, action: Action, most: int) -> Search:
         """Return the search for poses at which an action holds the object."""
-        closing = HandClosing(self.scene, ActionPath.of(self.hand, action), self.task.friction)
-        poses = None
+        closing, poses = self.closing(action), None
         if closing.path.moving.any():
             poses = Poses(self.scene, closing, action, self.out, self.ground)
         candidates = iter(()) if poses is None else poses.search(self.turns, most)
@@ -369,10 +368,13 @@ class Planner:
             return "it is no better than others"
         return best if best.load > 0.0 else "it can't carry the weight along this axis"
 
+    def closing(self, action: Action) -> HandClosing:
+        """Return what closes the hand by an action on the object."""
+        return HandClosing(self.scene, ActionPath.of(self.hand, action), self.task.friction)
+
     def closed(self, action: Action, plan: GraspPlan) -> Closure | None:
         """Return the hand closed by an action at a plan's pose."""
-        closing = HandClosing(self.scene, ActionPath.of(self.hand, action), self.task.friction)
-        return closing.close(np.array(plan.pose), round(plan.preshape * STEPS))
+        return self.closing(action).close(np.array(plan.pose), round(plan.preshape * STEPS))
 
     def promise(self, closure: Closure) -> float:
         """Return a quick estimate of how good a grasp is; larger is better."""

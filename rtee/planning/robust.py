@@ -10,7 +10,7 @@ from typing import Final
 from rtee.actions.types import Action
 from rtee.hand.model import Hand
 from rtee.planning.approaches import GAP, PoseCandidate
-from rtee.planning.closing import ActionPath, Closure, HandClosing, close_all
+from rtee.planning.closing import Closure, HandClosing, close_all
 from rtee.planning.nearby import closed_nearby
 from rtee.planning.planner import Planner
 from rtee.planning.poses import Poses
@@ -59,7 +59,7 @@ def robust_poses(
         groups: Actions whose fingers it moves, too: the object may be between those alone.
         others: Further poses to compare.
     """
-    closing = HandClosing(planner.scene, ActionPath.of(planner.hand, action), planner.task.friction)
+    closing = planner.closing(action)
     if not closing.path.moving.any():
         return []
     candidates = [*others]
@@ -91,7 +91,7 @@ def too_wide(planner: Planner, action: Action, groups: Sequence[Action] = ()) ->
         action: The action.
         groups: Actions whose fingers it moves, too.
     """
-    closing = HandClosing(planner.scene, ActionPath.of(planner.hand, action), planner.task.friction)
+    closing = planner.closing(action)
     if not closing.path.moving.any():
         return ""
     widest, wide = 0.0, math.inf
