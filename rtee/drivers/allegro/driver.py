@@ -16,6 +16,7 @@ from rtee.buses.can import CanBus
 from rtee.buses.emulator import CanFrame
 from rtee.buses.parser import CodecError
 from rtee.buses.pool import BusPool
+from rtee.buses.retry import heard
 from rtee.drivers.allegro import codec
 from rtee.drivers.allegro.control import JointControl
 from rtee.drivers.base import Driver
@@ -241,7 +242,7 @@ class AllegroDriver(Driver):
             identity={
                 "model": f"Allegro Hand V{info.version}",
                 "firmware": f"{info.firmware:#06x}",
-                "serial": serial,
+                "serial": serial or "not reported",
             },
         )
 
@@ -260,7 +261,8 @@ class AllegroDriver(Driver):
                 f"version {info.version}",
                 hint="the scales of other versions are not known",
             )
-        serial = await link.serial()
+        # Nothing but the side of a version 5 depends on it, so a hand may keep it to itself.
+        serial = await heard(link.serial()) or ""
         side = codec.side_of(info, serial)
         if options.side is not None and side and side != options.side:
             raise self.stranger(f"a {options.side} hand", f"a {side} one")

@@ -382,6 +382,21 @@ async def test_a_hand_that_falls_silent_is_noticed(options: dict[str, Any], late
 
 
 @pytest.mark.anyio
+async def test_a_hand_that_does_not_tell_its_serial_number_is_driven(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told = AllegroEmulator._report
+
+    def report(emulator: AllegroEmulator, command: int) -> list[CanFrame]:
+        return [] if command == Command.SERIAL else told(emulator, command)
+
+    monkeypatch.setattr(AllegroEmulator, "_report", report)
+    async with BusPool() as pool, connected(pool, device()) as made:
+        assert made.capabilities.identity["serial"] == "not reported"
+        await made.activate()
+
+
+@pytest.mark.anyio
 async def test_a_finger_that_falls_silent_is_named_and_the_hand_goes_limp() -> None:
     async with BusPool() as pool, connected(pool, device(info_every=10_000)) as made:
         await made.activate()
