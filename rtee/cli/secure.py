@@ -13,6 +13,7 @@ from rtee.cli._common import Commands
 from rtee.cli._table import Column, table_of
 from rtee.drivers.diagnosis.checks import ok, warning, wrong
 from rtee.errors import ConfigError, needing_extra, suggestion
+from rtee.hand.files import write_together
 from rtee.hand.names import check_name
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def add_client(
     authority, folder = _authority(), _folder(hand)
     person, text = authority.add_client(folder, name, _role(role), days)
     try:
-        authority.write_private(path, text)
+        write_together({path: text}, private=True)
     except ConfigError:
         # The client never gets this certificate, so it must not stay admitted.
         authority.revoke(folder, person.name)

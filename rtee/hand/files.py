@@ -31,10 +31,15 @@ def write_atomically(path: Path | str, data: str | bytes) -> None:
     write_together({Path(path): data})
 
 
-def write_together(files: Mapping[Path, str | bytes]) -> None:
+def write_together(files: Mapping[Path, str | bytes], *, private: bool = False) -> None:
     """Write several files, each as `write_atomically` does; none unless there is space for all.
 
     A symbolic link is kept, and the file that it leads to is written. Devices and pipes are errors.
+
+    Args:
+        files: Content by path.
+        private: Only the owner can read the files, also while they are written; a symbolic link is
+            replaced instead of followed.
 
     Raises:
         ConfigError: if one of the files cannot be written; nothing has changed.
@@ -44,14 +49,15 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
     try:
         for target, data in files.items():
             content = data.encode() if isinstance(data, str) else data
-            place = _place_of(target)
+            place = target if private else _place_of(target)
             # In the same folder, since renaming is atomic only within a file system.
             descriptor, staged[place] = tempfile.mkstemp(
                 dir=place.parent, prefix=f".{place.name[:40]}.", suffix=".tmp"
             )
             with os.fdopen(descriptor, "wb") as file:
                 # Only the owner can read a file made by mkstemp.
-                os.fchmod(file.fileno(), _mode_of(place))
+                if not private:
+                    os.fchmod(file.fileno(), _mode_of(place))
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
@@ -187,7 +193,13 @@ def new_tree(target: Path) -> Iterator[Path]:
         replaced(place / target.name) as filled,
     ):
         filled.mkdir()
-        yield filled
+        try:
+            yield filled
+        except UserError as error:
+            # The temporary name is gone when the message is read.
+            if error.path is not None and error.path.is_relative_to(filled):
+                error.path = target / error.path.relative_to(filled)
+            raise
 
 
 def write_all(

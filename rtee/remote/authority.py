@@ -7,12 +7,10 @@ from __future__ import annotations
 
 import datetime
 import json
-import os
 import re
 import secrets
-import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,7 +20,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rtee.errors import ConfigError
-from rtee.hand.files import failing, flush_to_disk
+from rtee.hand.files import cleared_on_failure, failing, write_together
 from rtee.messages.requests import Role
 from rtee.remote.credentials import (
     AUTHORITY,
@@ -71,10 +69,6 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
             " if you mean to start again",
             path=folder / AUTHORITY_KEY,
         )
-    with failing("cannot be created", folder):
-        # One by one, since `parents` makes the upper ones with the umask's permissions.
-        for place in (*reversed(folder.parents), folder):
-            place.mkdir(mode=0o700, exist_ok=True)
     key = ec.generate_private_key(ec.SECP256R1())
     subject = _name(f"authority of {hand}")
     builder = _builder(subject, subject, key, _AUTHORITY_DAYS)
@@ -82,20 +76,28 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
     builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
     builder = builder.add_extension(_usage(signs=True), critical=True)
     certificate = builder.sign(key, hashes.SHA256())
-    write_private(folder / AUTHORITY_KEY, _key_text(key))
-    write_private(folder / AUTHORITY, _text(certificate))
-    _write(Credentials(folder, spare=_spare({})))
-    renew(folder, hand, days)
+    own = {AUTHORITY_KEY: _key_text(key), AUTHORITY: _text(certificate)}
+    files = own | _renewed(Credentials(folder), _Authority(key, certificate), hand, days)
+    with cleared_on_failure(folder):
+        with failing("cannot be created", folder):
+            # One by one, since `parents` makes the upper ones with the umask's permissions.
+            for place in (*reversed(folder.parents), folder):
+                place.mkdir(mode=0o700, exist_ok=True)
+        _write(folder, files)
 
 
 def renew(folder: Path, hand: str, days: int = DAYS) -> None:
     """Make a new certificate of the hand, and new spare names; raises the same as `add_client`."""
+    _write(folder, _renewed(_known(folder), _authority(folder), hand, days))
+
+
+def _renewed(known: Credentials, authority: _Authority, hand: str, days: int) -> dict[str, str]:
+    """Return the files of a new certificate of a hand, by name."""
     key = ec.generate_private_key(ec.SECP256R1())
-    certificate = _issued(folder, hand, key, days, ExtendedKeyUsageOID.SERVER_AUTH)
-    write_private(folder / HAND_KEY, _key_text(key))
-    write_private(folder / HAND, _text(certificate))
+    certificate = _issued(authority, hand, key, days, ExtendedKeyUsageOID.SERVER_AUTH)
     until = certificate.not_valid_after_utc.timestamp()
-    _write(replace(_known(folder), until=until, spare=_spare({})))
+    people = _people(replace(known, until=until, spare=_spare({})))
+    return {HAND_KEY: _key_text(key), HAND: _text(certificate), PEOPLE: people}
 
 
 def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Person, str]:
@@ -110,19 +112,20 @@ def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Pe
             f"{who[:50]!r} is not a valid name for a client; use up to 31 letters, digits, '_' and "
             "'-'"
         )
-    known = _known(folder)
+    known, authority = _known(folder), _authority(folder)
     common = next((spare for spare, of in known.spare.items() if of is role), None)
     # Without a spare name the person is admitted only from the hand's next start on: Zenoh reads
     # its access rules once.
     common = common or secrets.token_hex(_RANDOM)
     name = f"{who}.{common}"
     key = ec.generate_private_key(ec.SECP256R1())
-    certificate = _issued(folder, common, key, days, ExtendedKeyUsageOID.CLIENT_AUTH)
+    certificate = _issued(authority, common, key, days, ExtendedKeyUsageOID.CLIENT_AUTH)
     entry = Person(name, role, certificate.not_valid_after_utc.timestamp())
     left = {spare: of for spare, of in known.spare.items() if spare != common}
-    _write(replace(known, people=(*known.people, entry), spare=_spare(left)))
-    authority = (folder / AUTHORITY).read_text("ascii")
-    return entry, identity_text(name, _key_text(key), _text(certificate), authority)
+    people = _people(replace(known, people=(*known.people, entry), spare=_spare(left)))
+    _write(folder, {PEOPLE: people})
+    own = _text(authority.certificate)
+    return entry, identity_text(name, _key_text(key), _text(certificate), own)
 
 
 def add_hand(folder: Path, hand: str, to: Path, days: int = DAYS) -> None:
@@ -137,18 +140,24 @@ def add_hand(folder: Path, hand: str, to: Path, days: int = DAYS) -> None:
     Raises:
         ConfigError: if the folder exists, or the files of the authority cannot be used.
     """
-    known, common = _known(folder), secrets.token_hex(_RANDOM)
+    known, authority = _known(folder), _authority(folder)
+    common = secrets.token_hex(_RANDOM)
     key = ec.generate_private_key(ec.SECP256R1())
-    certificate = _issued(folder, common, key, days, ExtendedKeyUsageOID.CLIENT_AUTH)
-    with failing("cannot be created", to):
-        to.mkdir(mode=0o700)
-    others = {name: other for name, other in known.hands.items() if other != hand}
-    _write(replace(known, hands={**others, common: hand}))
-    write_private(to / HAND_KEY, _key_text(key))
-    write_private(to / HAND, _text(certificate))
-    write_private(to / AUTHORITY, (folder / AUTHORITY).read_text("ascii"))
+    certificate = _issued(authority, common, key, days, ExtendedKeyUsageOID.CLIENT_AUTH)
     until = certificate.not_valid_after_utc.timestamp()
-    _write(replace(known, folder=to, until=until, hands={}))
+    files = {
+        HAND_KEY: _key_text(key),
+        HAND: _text(certificate),
+        AUTHORITY: _text(authority.certificate),
+        PEOPLE: _people(replace(known, until=until, hands={})),
+    }
+    others = {name: other for name, other in known.hands.items() if other != hand}
+    with cleared_on_failure(to):
+        with failing("cannot be created", to):
+            to.mkdir(mode=0o700)
+        # Both folders together, so that the old certificate stays valid until there is a new one.
+        admitted = {folder / PEOPLE: _people(replace(known, hands={**others, common: hand}))}
+        write_together({to / name: text for name, text in files.items()} | admitted, private=True)
 
 
 def revoke(folder: Path, name: str) -> list[Person]:
@@ -164,7 +173,7 @@ def revoke(folder: Path, name: str) -> list[Person]:
     people = tuple(
         replace(client, revoked=True) if client in matching else client for client in known.people
     )
-    _write(replace(known, people=people))
+    _write(folder, {PEOPLE: _people(replace(known, people=people))})
     return [client for client in matching if not client.revoked]
 
 
@@ -174,42 +183,32 @@ def _known(folder: Path) -> Credentials:
     return credentials
 
 
-def write_private(path: Path, text: str) -> None:
-    """Write a file that only its owner can read, also while it is being written.
+@dataclass(frozen=True, slots=True)
+class _Authority:
+    """The key with which certificates are signed, and its own certificate."""
 
-    Raises `ConfigError` if it cannot be written.
-    """
-    with failing("cannot be written", path):
-        # Private from its creation on: before a later chmod, others could open it. The name is new,
-        # so that no existing file or link is followed.
-        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
-        part = Path(name)
-        try:
-            with os.fdopen(descriptor, "w", encoding="ascii") as file:
-                file.write(text)
-                file.flush()
-                # After a power cut, a certificate without its key would be useless.
-                os.fsync(file.fileno())
-            part.replace(path)
-            flush_to_disk(path.parent)
-        except BaseException:
-            part.unlink(missing_ok=True)
-            raise
+    key: Key
+    certificate: x509.Certificate
 
 
-def _issued(
-    folder: Path, name: str, key: Key, days: int, purpose: x509.ObjectIdentifier
-) -> x509.Certificate:
-    """Return a certificate signed by the authority."""
+def _authority(folder: Path) -> _Authority:
+    """Return the authority in a folder; raises `ConfigError` if its files cannot be used."""
     path = folder / AUTHORITY_KEY
     if not path.is_file():
         raise ConfigError("is missing; 'rtee secure init HAND' makes it", path=path)
     check_private(path)
-    signer = _loaded(path, lambda data: serialization.load_pem_private_key(data, None))
-    authority = _loaded(folder / AUTHORITY, x509.load_pem_x509_certificate)
-    if not isinstance(signer, ec.EllipticCurvePrivateKey):
+    key = _loaded(path, lambda data: serialization.load_pem_private_key(data, None))
+    certificate = _loaded(folder / AUTHORITY, x509.load_pem_x509_certificate)
+    if not isinstance(key, ec.EllipticCurvePrivateKey):
         raise ConfigError("is not a key of 'rtee secure init'", path=path)
-    builder = _builder(_name(name), authority.subject, key, days)
+    return _Authority(key, certificate)
+
+
+def _issued(
+    authority: _Authority, name: str, key: Key, days: int, purpose: x509.ObjectIdentifier
+) -> x509.Certificate:
+    """Return a certificate signed by the authority."""
+    builder = _builder(_name(name), authority.certificate.subject, key, days)
     not_an_authority = x509.BasicConstraints(ca=False, path_length=None)
     builder = builder.add_extension(not_an_authority, critical=True)
     builder = builder.add_extension(_usage(signs=False), critical=True)
@@ -217,7 +216,7 @@ def _issued(
     builder = builder.add_extension(x509.ExtendedKeyUsage([purpose]), critical=True)
     # A placeholder, which clients do not check: see `Identity.settings`.
     names = x509.SubjectAlternativeName([x509.DNSName("rtee.invalid")])
-    return builder.add_extension(names, critical=False).sign(signer, hashes.SHA256())
+    return builder.add_extension(names, critical=False).sign(authority.key, hashes.SHA256())
 
 
 def _loaded(path: Path, load: Callable[[bytes], T]) -> T:
@@ -283,8 +282,13 @@ def _spare(left: Mapping[str, Role]) -> Mapping[str, Role]:
     return names
 
 
-def _write(known: Credentials) -> None:
-    """Write the list of people, the spare names and the expiry of the hand's certificate."""
+def _write(folder: Path, files: Mapping[str, str]) -> None:
+    """Write private files by name; raises `ConfigError`, and then none of them has changed."""
+    write_together({folder / name: text for name, text in files.items()}, private=True)
+
+
+def _people(known: Credentials) -> str:
+    """Return the list of people, the spare names and the expiry of the hand's certificate."""
     entries = [
         {
             "name": client.name,
@@ -296,4 +300,4 @@ def _write(known: Credentials) -> None:
     ]
     spare = {name: role.name.lower() for name, role in known.spare.items()}
     document = {"until": known.until, "people": entries, "spare": spare, "hands": dict(known.hands)}
-    write_private(known.folder / PEOPLE, json.dumps(document, indent=2) + "\n")
+    return json.dumps(document, indent=2) + "\n"

@@ -45,6 +45,7 @@ from rtee.gui.session import HandSession
 from rtee.gui.visitors import Buffer, Visitors
 from rtee.gui.watch import Watch
 from rtee.gui.wording import NOTHING, Angles, number, units
+from rtee.hand.files import write_together
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
@@ -195,7 +196,7 @@ async def test_what_its_certificate_does_not_allow_cannot_be_used(
     secure = tmp_path / "secure" / "small"
     authority.make_authority(secure, "small")
     identity = tmp_path / "one.pem"
-    authority.write_private(identity, authority.add_client(secure, "one", role)[1])
+    write_together({identity: authority.add_client(secure, "one", role)[1]}, private=True)
     monkeypatch.setenv(credentials.FOLDER_VARIABLE, str(tmp_path / "secure"))
     monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(identity))
     endpoint = free_endpoint().replace("tcp/", "tls/")

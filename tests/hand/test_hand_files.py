@@ -13,9 +13,11 @@ from rtee.errors import ConfigError, ModelError
 from rtee.hand.files import (
     check_writable,
     make_folder,
+    new_tree,
     read_bytes,
     temporary_folder,
     write_atomically,
+    write_together,
 )
 from rtee.hand.names import check_name, common_prefix, safe_name
 
@@ -116,6 +118,40 @@ def test_nothing_is_left_when_the_disk_is_full(
     assert caught.value.path == file
     assert file.read_text() == "old"
     assert list(tmp_path.iterdir()) == [file]
+
+
+def test_of_several_files_none_is_written_without_space_for_all(
+    tmp_path: Path, largest_file: Callable[[int | None], None]
+) -> None:
+    small, large = tmp_path / "small", tmp_path / "large"
+    small.write_text("old")
+    largest_file(1000)
+    for private in (False, True):
+        with pytest.raises(ConfigError, match="large: cannot be written: file too large"):
+            write_together({small: "new", large: "x" * 5000}, private=private)
+    largest_file(None)
+    assert small.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [small]
+
+
+def test_private_files_are_their_owners_only_and_follow_no_link(tmp_path: Path) -> None:
+    key, link, other = (tmp_path / name for name in ("key", "link", "other"))
+    key.write_text("old")
+    other.write_text("of another")
+    link.symlink_to(other)
+    write_together({key: "secret", link: "secret"}, private=True)
+    for path in (key, link):
+        assert path.read_text() == "secret"
+        assert stat.S_IMODE(path.lstat().st_mode) == 0o600
+    assert other.read_text() == "of another"
+
+
+def test_what_fails_in_a_new_tree_names_the_place_that_it_would_have_had(tmp_path: Path) -> None:
+    target = tmp_path / "new"
+    with pytest.raises(ConfigError) as caught, new_tree(target) as folder:
+        write_atomically(folder / "none" / "file", "")
+    assert caught.value.path == target / "none" / "file"
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_folders_that_cannot_be(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import rtee
 from rtee.cli._fleet import _table as fleet_table
 from rtee.errors import ConfigError, LeaseHeld, NoHand, RemoteError
 from rtee.hand.config_schema import SecuritySettings
+from rtee.hand.files import write_together
 from rtee.messages.requests import Role
 from rtee.remote import credentials, server
 from rtee.remote.credentials import Credentials
@@ -167,7 +168,7 @@ async def test_two_hands_and_three_clients_with_certificates(
     authority.make_authority(site, "site")
     for name, role in (("ann", Role.OPERATOR), ("bob", Role.OPERATOR), ("eve", Role.OBSERVER)):
         files[name] = tmp_path / f"{name}.pem"
-        authority.write_private(files[name], authority.add_client(site, name, role)[1])
+        write_together({files[name]: authority.add_client(site, name, role)[1]}, private=True)
     for name in ("left", "right"):
         authority.add_hand(site, name, tmp_path / name)
     endpoint = free_endpoint().replace("tcp/", "tls/")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
 import anyio
@@ -17,6 +17,7 @@ from rtee.cli import secure
 from rtee.drivers.diagnosis.checks import Verdict
 from rtee.errors import ConfigError, NoHand, RemoteError, RequestRejected
 from rtee.hand.config_schema import SecuritySettings
+from rtee.hand.files import write_together
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
 from rtee.remote import credentials, protection
@@ -46,7 +47,7 @@ class People:
     def add(self, name: str, role: Role) -> Path:
         path = self.files / f"{name}.pem"
         _, text = self.authority.add_client(self.folder, name, role)
-        self.authority.write_private(path, text)
+        write_together({path: text}, private=True)
         return path
 
 
@@ -279,7 +280,7 @@ async def test_a_client_cannot_pass_for_the_hand(
     ann, eve = people.add("ann", Role.OPERATOR), people.add("eve", Role.OPERATOR)
     monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(eve))
     blocks = credentials.identity().blocks
-    people.authority.write_private(people.folder / credentials.HAND_KEY, blocks["key"])
+    write_together({people.folder / credentials.HAND_KEY: blocks["key"]}, private=True)
     (people.folder / credentials.HAND).write_text(blocks["certificate"])
     monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(ann))
     monkeypatch.setattr("rtee.remote.session._CONNECT_WITHIN", 2)
@@ -421,6 +422,26 @@ def test_files_that_cannot_be_used_are_named(people: People, tmp_path: Path) -> 
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match="cannot be created"):
         people.authority.make_authority(tmp_path / "file" / "small", "small")
+
+
+def test_on_a_full_disk_no_certificate_is_made_or_changed(
+    people: People, tmp_path: Path, largest_file: Callable[[int | None], None]
+) -> None:
+    def content() -> dict[str, bytes]:
+        return {path.name: path.read_bytes() for path in people.folder.iterdir()}
+
+    before = content()
+    largest_file(700)  # enough for each key and certificate, but not for the list of people
+    with pytest.raises(ConfigError, match="cannot be written: file too large"):
+        people.authority.make_authority(tmp_path / "other" / "small", "small")
+    with pytest.raises(ConfigError, match="cannot be written: file too large"):
+        secure.renew("small")
+    with pytest.raises(ConfigError, match="cannot be written: file too large"):
+        people.authority.add_hand(people.folder, "small", tmp_path / "small@site")
+    largest_file(None)
+    assert not (tmp_path / "other").exists()
+    assert not (tmp_path / "small@site").exists()
+    assert content() == before
 
 
 def test_a_certificate_that_cannot_be_stored_is_not_admitted(

@@ -12,6 +12,7 @@ pytest.importorskip("cryptography", reason="needs the extra secure")
 
 from rtee.errors import NoRouter
 from rtee.hand.config_schema import Ros2Settings
+from rtee.hand.files import write_together
 from rtee.messages.requests import Role
 from rtee.remote import authority
 from rtee.remote.credentials import IDENTITY_VARIABLE, Credentials, common_name
@@ -65,7 +66,7 @@ async def test_the_router_decides_who_steers_and_who_watches(
     for who in ("hand", "planner", "screen"):
         person, text = authority.add_client(folder, who, Role.OPERATOR)
         names[who] = common_name(person.name)
-        authority.write_private(tmp_path / f"{who}.pem", text)
+        write_together({tmp_path / f"{who}.pem": text}, private=True)
     access = _access([names["hand"], names["planner"]], [names["screen"]])
     endpoint = free_endpoint().replace("tcp/", "tls/")
     settings = Ros2Settings(router=endpoint)
@@ -111,7 +112,7 @@ async def test_the_router_decides_who_steers_and_who_watches(
         stranger = tmp_path / "other"
         authority.make_authority(stranger, "robot")
         _, text = authority.add_client(stranger, "planner", Role.OPERATOR)
-        authority.write_private(tmp_path / "stranger.pem", text)
+        write_together({tmp_path / "stranger.pem": text}, private=True)
         with anyio.fail_after(300), pytest.raises(NoRouter):
             async with opened("stranger"):
                 pass
