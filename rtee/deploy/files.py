@@ -10,7 +10,7 @@ from pathlib import Path
 from rtee.deploy.needs import SECURE, Needs, Port, checked_path
 from rtee.drivers.diagnosis.machine import LIMITS
 from rtee.errors import ConfigError
-from rtee.hand.files import files_below, make_folder, write_atomically
+from rtee.hand.files import files_below, write_all
 
 PROGRAM = "/opt/rtee/bin/rtee"
 """Path of the `rtee` program in the shipped unit."""
@@ -101,13 +101,10 @@ def write_files(folder: Path) -> list[Path]:
     they cannot be written.
     """
     source = shipped()
-    make_folder(folder)
-    written = []
-    for name in _SHIPPED.values():
-        text = (source / name).read_text("utf-8").replace(PROGRAM, own_program())
-        write_atomically(folder / name, text)
-        written.append(folder / name)
-    return written
+    texts = {name: (source / name).read_text("utf-8") for name in _SHIPPED.values()}
+    files = {folder / name: text.replace(PROGRAM, own_program()) for name, text in texts.items()}
+    write_all(files)
+    return list(files)
 
 
 def system_files(needs: Needs, program: str, *, realtime: bool) -> dict[str, bytes]:

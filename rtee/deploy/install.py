@@ -15,7 +15,7 @@ from pathlib import Path
 
 from rtee.deploy.files import ACCOUNTS, UNIT, USER
 from rtee.errors import ConfigError
-from rtee.hand.files import write_atomically
+from rtee.hand.files import cleared_on_failure, failing, write_atomically, write_together
 
 MANIFEST = "/etc/rtee/deploy.json"
 """List of the written files and their hands; only root may change it."""
@@ -151,14 +151,16 @@ class Installation:
     def install(self, hand: str, files: Mapping[str, bytes]) -> dict[str, FileState]:
         """Write a hand's files, enable its service, and return the state of each file, by path.
 
-        Raises `ConfigError` if a file cannot be written; the manifest lists those that were.
+        Raises `ConfigError` if a file cannot be written; then none is.
         """
         states = self.compare(hand, files)
         # The hand may need fewer files than at its last installation.
         stale = [path for path in self.manifest.of(hand) if path not in states]
         manifest = self.manifest
         wanted = [Path(path).parent for path in (*states, MANIFEST)]
-        with _usual_permissions():
+        with _usual_permissions(), contextlib.ExitStack() as made:
+            for folder in wanted:
+                made.enter_context(cleared_on_failure(self._folder(str(folder))))
             self._make_folders(wanted)
             # List files before writing them, so that an interrupted installation can be undone.
             for path, state in states.items():
@@ -169,13 +171,20 @@ class Installation:
                 manifest.files.setdefault(path, "")
                 if hand not in hands:
                     hands.append(hand)
-            self._save()
-            for path, state in states.items():
-                if path in files and state in (FileState.NEW, FileState.CHANGED):
-                    write_atomically(self._place(path), files[path])
+            # Together: otherwise a full disk would leave a list with checksums of files that it did
+            # not take, and the next installation would keep the old ones as changed by hand.
+            write_together(
+                {self._place(MANIFEST): manifest.document()}
+                | {
+                    self._place(path): files[path]
+                    for path, state in states.items()
+                    if path in files and state in (FileState.NEW, FileState.CHANGED)
+                }
+            )
             link = self._link(hand)
             if not link.is_symlink():
-                link.symlink_to(UNIT)
+                with failing("cannot be made", link):
+                    link.symlink_to(UNIT)
         # Remove old files last, so that a failed installation still has them.
         states |= self._drop(hand, stale)
         return states

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from rtee.errors import CalibrationError
-from rtee.hand.files import make_folder, write_atomically
+from rtee.hand.files import write_all
 from rtee.hand.validation import validated
 
 T = TypeVar("T")
@@ -46,5 +46,4 @@ def read_calibration_file(
 
 def write_json(path: Path, value: Any) -> None:
     """Write a value as JSON, creating the folder if needed; raises `ConfigError` if that fails."""
-    make_folder(path.parent)
-    write_atomically(path, json.dumps(value, indent=2) + "\n")
+    write_all({path: json.dumps(value, indent=2) + "\n"})

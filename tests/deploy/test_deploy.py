@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -132,6 +133,27 @@ def test_a_hand_that_was_changed_is_brought_up_to_date(root: Path, tmp_path: Pat
     assert states["/etc/rtee/hands/jaw/hand.yaml"] is FileState.CHANGED
     assert states[rule] is FileState.REMOVED
     assert not (root / rule[1:]).exists()
+
+
+def test_on_a_full_disk_nothing_is_installed_and_later_everything(
+    root: Path, hand: Path, largest_file: Callable[[int | None], None]
+) -> None:
+    settings = hand / "hand.yaml"
+    small = settings.read_text()
+    before = tree(root)
+    for installed in (False, True):
+        settings.write_text(f"{small}# {'x' * 20_000}\n")
+        largest_file(10_000)
+        with pytest.raises(ConfigError, match=r"hand\.yaml: cannot be written: file too large"):
+            install(root, hand)
+        largest_file(None)
+        assert tree(root) == before
+        if not installed:
+            settings.write_text(small)
+            install(root, hand)
+            before = tree(root)
+    # What was not written does not count as changed by hand.
+    assert install(root, hand)["/etc/rtee/hands/jaw/hand.yaml"] is FileState.CHANGED
 
 
 def test_hands_share_files_until_the_last_one_goes(root: Path, tmp_path: Path) -> None:
