@@ -23,7 +23,7 @@ from rtee.commands import CommandRecord
 from rtee.errors import LogError, UserError
 from rtee.hand.config_schema import Recorded
 from rtee.hand.embedded_meshes import EmbeddedMeshes, embed_meshes
-from rtee.hand.files import reason
+from rtee.hand.files import cleared_on_failure, reason
 from rtee.hand.model import Hand
 from rtee.log.dataclass_json import to_json
 from rtee.log.layout import REPLAY, Contents, Replayable
@@ -216,7 +216,8 @@ class Recorder(Observer):
             return
         if self._settings.enabled and self._settings.record is not Recorded.FAULTS:
             try:
-                self._writer.sink.start(time.time_ns())
+                with cleared_on_failure(self._settings.folder):
+                    self._writer.sink.start(time.time_ns())
             except OSError as error:
                 raise LogError(
                     f"no recording can be written here: {reason(error)}; --log gives another"

@@ -173,20 +173,20 @@ class DiskSink:
         full = self._file.size >= self._settings.part_size
         if full or self._monotonic() - self._opened >= self._settings.max_file_time:
             self._close()
-        # The size of a part that was just closed counts from now on.
-        self._make_room(look=full)
+        # The size of a part that was just closed counts from now on. A folder that has vanished is
+        # reported, or made again, with the next chunk.
+        with contextlib.suppress(OSError):
+            self._make_room(look=full)
 
     def attach(self, state: bytes) -> None:
         """Attach a state of the controller to the file, with its next chunk."""
         self._state = state
 
-    def write_flight(
-        self, chunks: tuple[PackedChunk, ...], wall_ns: int, cause: str
-    ) -> Path | None:
-        """Write the flight recorder's chunks to a file and return it; ``None`` if that fails.
+    def write_flight(self, chunks: tuple[PackedChunk, ...], wall_ns: int, cause: str) -> Path:
+        """Write the flight recorder's chunks to a file and return it.
 
         There is at least one chunk; the time is that of the fault [ns since 1970], ``cause``
-        describes it.
+        describes it. Raises `OSError` if the file cannot be written; nothing is left of it.
         """
         settings = self._settings
         path = flight_path(settings.folder, self._contents.hand.name, session_name(wall_ns))
@@ -206,10 +206,10 @@ class DiskSink:
             finally:
                 file.close()
             os.replace(partial, path)
-        except OSError as error:
-            self.problem = reason(error)
+        except OSError:
             with contextlib.suppress(OSError):
                 partial.unlink(missing_ok=True)
-            return None
-        self._make_room(look=True)
+            raise
+        with contextlib.suppress(OSError):
+            self._make_room(look=True)
         return path

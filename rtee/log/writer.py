@@ -17,6 +17,7 @@ import numpy as np
 
 from rtee.commands import CommandRecord, StreamSample
 from rtee.hand.config_schema import Recorded, RecordingLayout
+from rtee.hand.files import reason
 from rtee.hand.frames import JointFrames
 from rtee.hand.model import Hand
 from rtee.hand.transmission import Transmission
@@ -514,9 +515,10 @@ class LogWriter:
         chunks = tuple(self.flight.chunks())
         if not chunks:
             return
-        path = self.sink.write_flight(chunks, self._wall(), self._flight_cause)
-        if path is None:
-            self._report("log_failed", f"the flight recorder cannot write: {self.sink.problem}")
+        try:
+            path = self.sink.write_flight(chunks, self._wall(), self._flight_cause)
+        except OSError as error:
+            self._report("log_failed", f"the flight recorder cannot write: {reason(error)}")
             return
         self.flight_files.append(path)
         self._report("flight_recorded", f"{self.flight.seconds:.1f} s written to {path}")

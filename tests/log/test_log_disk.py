@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,9 @@ from log.samples import GOAL, STATISTICS, Log, recorded, settings, tick
 from rtee.errors import LogError
 from rtee.hand.config_schema import Recorded
 from rtee.hand.model import Hand
-from rtee.log import read, rotation
+from rtee.log import read, rotation, sink
+from rtee.log.chunks import PackedChunk
+from rtee.log.mcapfile import McapFile
 from rtee.log.rotation import being_written, parse_name, parts_of, recordings
 from rtee.types import Event
 
@@ -348,6 +351,42 @@ def test_a_flight_that_cannot_be_written_is_said(claw: Hand, tmp_path: Path, lar
     largest_file(None)  # the report of the tests may be going to a file, too
     assert list(tmp_path.iterdir()) == []
     assert [event.kind for event in log.told] == ["log_failed"]
+    assert log.writer.sink.problem == ""  # which is about the recording
+
+
+def test_a_flight_that_cannot_be_written_interrupts_no_recording(
+    claw: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = Log(claw, settings(tmp_path))
+    log.run(0, 100)
+    with monkeypatch.context() as patch:
+        patch.setattr(sink, "flight_path", lambda *_: Path("/dev/null/flight.mcap"))
+        log.writer.item(fault(log.time.now), log.time.now)
+        log.writer.poll()
+    log.run(100, 200)
+    log.writer.close()
+    assert [event.kind for event in log.told] == ["log_failed"]
+    assert read(recorded(tmp_path)[0]).actuator_states.tick[-1] == 199
+
+
+def test_a_folder_that_vanishes_after_a_chunk_is_made_again(
+    claw: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "logs"
+    log = Log(claw, settings(folder))
+    log.run(0, 100)
+    write = McapFile.write
+
+    def written_and_removed(file: McapFile, chunk: PackedChunk) -> None:
+        write(file, chunk)
+        shutil.rmtree(folder)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(McapFile, "write", written_and_removed)
+        log.writer.flush()
+    log.run(100, 200)
+    log.writer.close()
+    assert read(recorded(folder)[0]).actuator_states.tick[-1] == 199
 
 
 def test_without_recording_and_flight_recorder_nothing_is_encoded(

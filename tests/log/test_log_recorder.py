@@ -84,6 +84,17 @@ def test_closing_twice_and_opening_twice_do_no_harm(claw: Hand, tmp_path: Path) 
     assert len(recorded(tmp_path)) == 1
 
 
+def test_a_recording_that_cannot_begin_leaves_no_folder(
+    claw: Hand, tmp_path: Path, largest_file: Callable[[int | None], None]
+) -> None:
+    recorder = Recorder(claw, settings(tmp_path / "new" / "logs"), rate=RATE)
+    largest_file(100)
+    with pytest.raises(LogError, match="no recording can be written here: file too large"):
+        recorder.open()
+    largest_file(None)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_folder_that_cannot_be_written_is_said_at_once(claw: Hand, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     recorder = Recorder(claw, settings(tmp_path / "file" / "logs"), rate=RATE)
