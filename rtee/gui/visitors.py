@@ -95,6 +95,12 @@ Gone = Callable[[int], object]
 _LARGEST_WHOLE: Final = 2**53
 """Largest integer that a control may have: JavaScript represents integers exactly only up to it."""
 
+_MOST_SILENT: Final = 256
+"""Connections that may wait without a request at a time; browsers open a few spare ones each."""
+
+_HANDSHAKE_WITHIN: Final = 5.0
+"""Longest wait for a TLS handshake [s], which takes a few round trips."""
+
 _Four = tuple[float, float, float, float]
 _Three = tuple[float, float, float]
 
@@ -224,6 +230,7 @@ class Visitors:
         self._access = access
         self._server: viser.ViserServer | None = None
         self._operators: set[int] = set()
+        self._silent: list[Visitor] = []
         self._come: Come = lambda client: None
         self._gone: Gone = lambda number: None
 
@@ -244,6 +251,8 @@ class Visitors:
             options |= {"max_size": _LARGEST, "ssl": self._access.tls}
             options |= {"ping_interval": PING_PERIOD, "ping_timeout": PONG_WITHIN}
             options["close_timeout"] = _CLOSE_WITHIN
+            if self._access.tls is not None:
+                options["ssl_handshake_timeout"] = _HANDSHAKE_WITHIN
             return _Serve(
                 self._in_role(handler),
                 *args,
@@ -297,6 +306,17 @@ class Visitors:
     async def _forget(self, client: viser.ClientHandle) -> None:
         self._operators.discard(client.client_id)
         self._gone(client.client_id)
+
+    def await_request(self, connection: Visitor) -> None:
+        """Note a new connection; close the oldest of too many that have sent no request.
+
+        Each takes a file descriptor for 10 s, and in a flood the newest are the likeliest to be a
+        browser's.
+        """
+        waiting = [each for each in self._silent if each.protocol.state is State.CONNECTING]
+        for each in waiting[: -_MOST_SILENT + 1]:
+            each.transport.abort()
+        self._silent = [*waiting[-_MOST_SILENT + 1 :], connection]
 
     def admits(
         self, role: PageRole | None, message: str | bytes, window: viser.ClientHandle | None = None
@@ -377,6 +397,11 @@ class Visitor(ServerConnection):
     headset = False
     bar = False
     window: viser.ClientHandle | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin to wait for the request."""
+        super().connection_made(transport)
+        self.visitors.await_request(self)
 
     async def recv(self, decode: bool | None = None) -> Any:
         """Return the next message that the page may send."""

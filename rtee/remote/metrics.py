@@ -9,11 +9,17 @@ from __future__ import annotations
 
 import asyncio
 import math
+import socket
+import sys
+import threading
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import Any
+from contextlib import contextmanager, suppress
+from socketserver import ThreadingMixIn
+from typing import Any, Final
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
-from prometheus_client import CollectorRegistry, start_http_server
+from prometheus_client import CollectorRegistry, make_wsgi_app
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
@@ -29,6 +35,9 @@ from rtee.types import DeviceStatus, Lifecycle
 
 _SCRAPED_WITHIN = 5.0
 """Time for all hands to answer a scrape [s]: half of Prometheus' own timeout."""
+
+_MOST_OPEN: Final = 32
+"""Connections that are served at once: more than a site has programs that ask for metrics."""
 
 _Hand = Callable[[HandStatus], float]
 _Device = Callable[[DeviceStatus], float]
@@ -166,6 +175,52 @@ class _FleetCollector:
         yield from families(looking.result(_SCRAPED_WITHIN))
 
 
+class _Silent(WSGIRequestHandler):
+    """Handles requests without a line of log for each."""
+
+    def log_message(self, format: str, *arguments: object) -> None:  # noqa: A002
+        """Log nothing."""
+
+
+class _Server(ThreadingMixIn, WSGIServer):
+    """An HTTP server that serves a limited number of connections, and closes the oldest beyond it.
+
+    Each connection has a thread. Without a limit, connections that say nothing could use up the
+    threads and the memory of the hand's service, to which this process belongs.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, host: str, port: int, registry: CollectorRegistry) -> None:
+        self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        self._open: OrderedDict[socket.socket, None] = OrderedDict()
+        self._changing = threading.Lock()
+        super().__init__((host, port), _Silent)
+        self.set_app(make_wsgi_app(registry))
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Serve a connection in a thread."""
+        with self._changing:
+            self._open[request] = None
+            if len(self._open) > _MOST_OPEN:
+                # Its thread then reads the end of the data, and ends. The next one is the oldest.
+                oldest, _ = self._open.popitem(last=False)
+                with suppress(OSError):
+                    oldest.shutdown(socket.SHUT_RDWR)
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        with self._changing:
+            self._open.pop(request, None)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Report errors, but not connections that the client has ended."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
+
+
 @contextmanager
 def serving(fleet: Fleet, listen: str) -> Iterator[str]:
     """Serve the metrics of a fleet over HTTP, in a thread, for as long as the context lasts.
@@ -183,9 +238,11 @@ def serving(fleet: Fleet, listen: str) -> Iterator[str]:
     registry = CollectorRegistry()
     registry.register(_FleetCollector(fleet))
     try:
-        server, thread = start_http_server(port, host, registry)
+        server = _Server(host, port, registry)
     except OSError as error:
         raise ConfigError(f"metrics: {listen} cannot be used: {error.strerror or error}") from None
+    thread = threading.Thread(target=server.serve_forever, name="metrics", daemon=True)
+    thread.start()
     try:
         yield f"http://{listen.rpartition(':')[0]}:{server.server_port}/metrics"
     finally:

@@ -173,6 +173,23 @@ def test_a_connection_that_asks_for_nothing_does_not_delay_the_end(
     assert not caplog.records
 
 
+def test_connections_that_ask_for_nothing_are_few_and_keep_nobody_out() -> None:
+    visitors = Visitors(Access())
+    server = visitors.open_server(0)
+    address = ("127.0.0.1", server.get_port())
+    with contextlib.ExitStack() as opened:
+        try:
+            silent = [
+                opened.enter_context(stdlib_socket.create_connection(address)) for _ in range(300)
+            ]
+            # The oldest is closed, the newest is not.
+            assert silent[0].recv(1) == b""
+            silent[-1].sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            assert silent[-1].recv(100).startswith(b"HTTP/1.1 403")
+        finally:
+            server.stop()
+
+
 def test_without_observers_there_is_no_token_for_them() -> None:
     assert list(Access().links(PORT)) == [PageRole.OPERATOR]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import socket
@@ -66,6 +67,27 @@ async def test_a_scrape_tells_what_the_hand_did(hand: Hand, library: ActionLibra
     assert samples["rtee_clients", "", "", ""] == 2.0
     ticks = samples["rtee_loop_ticks_total", "", "", ""]
     assert samples["rtee_loop_busy_seconds_bucket", "", "", "+Inf"] >= ticks > 0
+
+
+async def test_connections_that_ask_for_nothing_are_few_and_keep_nobody_out() -> None:
+    from rtee.remote.metrics import serving as serving_metrics
+
+    def flood(port: int) -> str:
+        with contextlib.ExitStack() as opened:
+            silent = [
+                opened.enter_context(socket.create_connection(("127.0.0.1", port)))
+                for _ in range(100)
+            ]
+            # The oldest is closed, the newest is not.
+            assert silent[0].recv(1) == b""
+            silent[-1].sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
+            assert silent[-1].recv(100).startswith(b"HTTP/1.0 200")
+            return _scraped(port)
+
+    async with following() as fleet:
+        with serving_metrics(fleet, "127.0.0.1:0") as address:
+            port = int(address.rpartition(":")[2].partition("/")[0])
+            assert await anyio.to_thread.run_sync(flood, port)
 
 
 async def test_the_command_says_where_it_serves(
