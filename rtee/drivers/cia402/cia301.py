@@ -163,6 +163,28 @@ def emergency_name(code: int) -> str:
     return EMERGENCIES.get(code) or _CLASSES.get(code >> 12, "unknown")
 
 
+_FREE = "free the fingers"
+_CURES: dict[int, str] = {
+    0x7121: _FREE,
+    0x7300: "check the encoder's cable",
+    0x8130: "see why this program fell silent",
+    0x8611: f"{_FREE}, or lower the velocity",
+}
+# By the first digit, for all other codes.
+_CLASS_CURES: dict[int, str] = {
+    0x2: f"{_FREE}, and check the motor's cable",
+    0x3: "check the motor's supply",
+    0x4: "let it cool down",
+    0x5: "switch it off and on; it needs service if the error comes back",
+    0x8: "check the bus: cable, termination and bit rate",
+}
+
+
+def emergency_cure(code: int) -> str:
+    """Return what removes the cause of an error, in words."""
+    return _CURES.get(code) or _CLASS_CURES.get(code >> 12, "remove the cause")
+
+
 class ErrorRegister(IntFlag):
     """Bits of the error register (object 1001h)."""
 

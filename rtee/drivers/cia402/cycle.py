@@ -11,7 +11,7 @@ from rtee import monotonic
 from rtee.buses.canopen import CanopenBus
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.cia402 import cia301, codec
-from rtee.drivers.cia402.cia301 import NmtState, emergency_name
+from rtee.drivers.cia402.cia301 import NmtState, emergency_cure, emergency_name
 from rtee.drivers.cia402.codec import Control, Mode, Object, State, StatusBit
 from rtee.drivers.cia402.drive import DriveLink
 from rtee.drivers.cia402.options import Cia402Options
@@ -166,7 +166,7 @@ class DriveCycle:
             self._device,
             code,
             f"node {drive.id} ({drive.name}): {name}",
-            hint="remove the cause, then `rtee recover`",
+            hint=f"{emergency_cure(code)}, then `rtee recover`",
         )
 
     async def reset_faults(self) -> None:

@@ -76,6 +76,21 @@ def faults_of(word: int) -> Fault:
     return Fault(word & ACKNOWLEDGE) & ~WARNINGS & Fault(0x1FF)
 
 
+_CURES = {
+    Fault.POSITION_RANGE: "compare the actuators' limits with those stored in the board",
+    Fault.TORQUE_OFFSET_RANGE: "see which torque offset the board stores",
+    Fault.KP_RANGE | Fault.KI_RANGE | Fault.KD_RANGE: "check `gains` in its options",
+    Fault.ENCODER_1 | Fault.ENCODER_2: "check the encoders' cables",
+    Fault.HARDWARE: "switch the boards off and on",
+    Fault.PARAMETERS: "restore the parameters that the board stores",
+}
+
+
+def cure(fault: Fault) -> str:
+    """Return what removes the cause of faults, in words."""
+    return " and ".join(text for bits, text in _CURES.items() if fault & bits)
+
+
 def words(fault: Fault) -> str:
     """Return the names of faults, in words."""
     names = [bit.name.lower().replace("_", " ") for bit in fault if bit.name]

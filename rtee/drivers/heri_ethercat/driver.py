@@ -339,7 +339,7 @@ class HeriEthercatDriver(Driver):
         return self.fault(
             int(fault),
             f"board {position}: {codec.words(fault)}",
-            hint="remove the cause, then `rtee recover` acknowledges it",
+            hint=f"{codec.cure(fault)}, then `rtee recover` acknowledges it",
         )
 
     async def hold(self) -> None:

@@ -107,6 +107,10 @@ def test_every_error_code_has_a_name() -> None:
     assert cia301.emergency_name(0x2310) == "overcurrent"
     assert cia301.emergency_name(0x2999) == "current"
     assert cia301.emergency_name(0xFF42) == "manufacturer-specific"
+    assert cia301.emergency_cure(0x4310) == "let it cool down"
+    assert cia301.emergency_cure(0x3220) == "check the motor's supply"
+    assert cia301.emergency_cure(0x8130) == "see why this program fell silent"
+    assert cia301.emergency_cure(0xFF42) == cia301.emergency_cure(0) == "remove the cause"
 
 
 class Host:

@@ -220,6 +220,9 @@ async def test_faults_are_named_and_recovered_without_motion() -> None:
         with pytest.raises(DeviceFault, match=r"node 5 \(jaw0\): overcurrent") as told:
             await made.sense()
         assert told.value.code == 0x2310
+        assert told.value.hint == (
+            "free the fingers, and check the motor's cable, then `rtee recover`"
+        )
         with pytest.raises(DeviceFault, match="overcurrent"):
             await made.activate()
         with pytest.raises(DeviceFault, match="overcurrent"):

@@ -89,6 +89,9 @@ def test_acknowledgements_and_faults_are_read() -> None:
     assert codec.faults_of(0x8000) == Fault(0)
     assert codec.faults_of(0x8280) == Fault.HARDWARE
     assert codec.words(Fault.HARDWARE | Fault.ENCODER_1) == "encoder 1, hardware"
+    cure = "check the encoders' cables and switch the boards off and on"
+    assert codec.cure(Fault.HARDWARE | Fault.ENCODER_1) == cure
+    assert all(codec.cure(fault) for fault in codec.faults_of(0xFFFF))
 
 
 # --- driver --------------------------------------------------------------------------------------
