@@ -24,6 +24,7 @@ _ALWAYS = 2
 _CLEAR_TURNS = b"\x01DXL\x22"  # the only parameters with which Clear is accepted
 _LEVELS = {int(codec.Instruction.PING): 0, int(codec.Instruction.READ): 1}
 """Status return level from which an instruction is answered; 2 for all other instructions."""
+_READ = int(codec.Instruction.READ)
 _HARDWARE = {
     "voltage": codec.Hardware.INPUT_VOLTAGE,
     "overheating": codec.Hardware.OVERHEATING,
@@ -206,7 +207,7 @@ class DynamixelEmulator(ServoLine[EmulatedDynamixel]):
         for number, address, length in wanted:
             # Each servo waits for the previous answer, so a missing servo silences the rest.
             found = self.listening([number], now)
-            if not found:
+            if not found or found[0].get(table.STATUS_RETURN_LEVEL) < _LEVELS[_READ]:
                 break
             servos += found
             data = found[0].read(address, length)

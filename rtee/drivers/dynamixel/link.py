@@ -14,7 +14,7 @@ from rtee.buses.dynamixel import DynamixelBus
 from rtee.drivers.dynamixel.codec import Error
 from rtee.drivers.dynamixel.table import Register
 from rtee.drivers.servos import ServoLink
-from rtee.errors import BusBroken, BusError, BusTimeout, DriverError, FrameError
+from rtee.errors import BusBroken, BusError, BusTimeout, DriverError, FrameError, NotConnected
 
 T = TypeVar("T")
 
@@ -165,8 +165,21 @@ class DynamixelLink(ServoLink):
         return await self.run(partial(self.ping, number))
 
     async def data(self, number: int, address: int, size: int) -> bytes:
-        """Return bytes of a servo's control table; raises `BusError`."""
-        found, _ = await self.run(partial(self.read_group, address, size, [number]))
+        """Return bytes of a servo's control table.
+
+        Raises `NotConnected` if the servo answers nothing but pings, and `BusError`.
+        """
+        try:
+            found, _ = await self.run(partial(self.read_group, address, size, [number]))
+        except BusTimeout as error:
+            if await self.model(number) is None:
+                raise
+            raise NotConnected(
+                self.bus.name,
+                f"servo {number} answers pings, but no reads",
+                hint="its status return level (address 68) is 0; switch its supply off and on, "
+                "which sets it to 2",
+            ) from error
         return found[number]
 
     async def values(self, register: Register, numbers: Sequence[int]) -> dict[int, int]:

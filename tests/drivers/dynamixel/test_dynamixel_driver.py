@@ -373,6 +373,16 @@ async def test_servos_that_answer_nothing_but_reads_are_set_up() -> None:
         assert made.counters()["timeouts"] == 0
 
 
+async def test_servos_that_answer_nothing_but_pings_are_named() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        line(pool).ordered[1].set(table.STATUS_RETURN_LEVEL, 0)
+        with pytest.raises(NotConnected, match=r"servo 1 answers pings, but no reads.*address 68"):
+            await made.configure()
+        line(pool).power_cycle(monotonic.now())
+        await anyio.sleep(0.5)
+        await made.configure()
+
+
 async def test_what_another_program_left_does_not_slow_or_weaken_the_motors() -> None:
     async with BusPool() as pool, connected(pool, device()) as made:
         for each in line(pool).ordered:
