@@ -33,6 +33,9 @@ EXCEPTIONS = {
 """Names of the exception codes (Modbus application protocol V1.1b3, section 7)."""
 
 
+_PASSING = (4, 5, 6)
+"""Exceptions of a device that has failed or is busy, which do not depend on the request."""
+
 _OF_GATEWAYS = (10, 11)
 """Exceptions with which a gateway reports that a unit behind it does not answer."""
 
@@ -47,6 +50,7 @@ class ModbusRefusal(BusError):
     Attributes:
         function: Code of the refused function.
         code: Exception code; see `EXCEPTIONS`.
+        passing: Whether the device has failed or is busy: this says nothing about its kind.
     """
 
     def __init__(self, bus: str, function: int, code: int) -> None:
@@ -54,6 +58,7 @@ class ModbusRefusal(BusError):
         super().__init__(bus, f"Modbus exception {code} for function {function:#04x}: {name}")
         self.function = function
         self.code = code
+        self.passing = code in _PASSING
 
 
 class ModbusBus(SerialBus):

@@ -23,6 +23,7 @@ from rtee.buses.timing import silence
 ILLEGAL_FUNCTION = 1  # Modbus exception codes (application protocol 1.1b3, section 7)
 ILLEGAL_ADDRESS = 2
 ILLEGAL_VALUE = 3
+DEVICE_FAILURE = 4
 _KEPT = 64
 """Requests kept for tests."""
 _MOST_REGISTERS = 125
@@ -48,6 +49,7 @@ class ModbusEmulator(Emulator):
 
     Attributes:
         FUNCTIONS: Supported function codes, unless the caller gives others.
+        FAULTS: With ``failing``, it refuses every request.
         EXCEPTIONS: Whether it refuses a request with an exception; otherwise it stays silent.
         PORT: Default address, for drivers whose options give none.
         unit: Its number on the line.
@@ -60,6 +62,7 @@ class ModbusEmulator(Emulator):
         {READ_HOLDING, READ_INPUT, WRITE_ONE, WRITE_MANY, READ_WRITE}
     )
     EXCEPTIONS: ClassVar[bool] = False
+    FAULTS = Emulator.FAULTS | {"failing"}
     PORT: ClassVar[str] = ""
 
     def __init__(
@@ -121,6 +124,8 @@ class ModbusEmulator(Emulator):
     def _handle(self, request: ModbusRequest, now: float) -> bytes | None:
         function = request.pdu[0]
         try:
+            if "failing" in self.faults:
+                raise Refused(DEVICE_FAILURE)
             if function not in self.functions:
                 raise Refused(ILLEGAL_FUNCTION)
             return bytes([function]) + self._done(function, request.pdu[1:], now)

@@ -155,13 +155,17 @@ class Driver(ABC):
             check: What to check if another device answers.
 
         Raises:
-            NotConnected: if no device answers, or its answer cannot be decoded.
+            NotConnected: if no device answers, its answer cannot be decoded, or it has failed.
             HandshakeError: if another device answers.
         """
         try:
             yield
         except strangers as error:
             reason = getattr(error, "message", None) or str(error)
+            # An attribute of Modbus refusals, whose module most drivers need not load.
+            if getattr(error, "passing", False):
+                again = "wait a moment; if this goes on, switch its supply off and on"
+                raise NotConnected(self.spec.name, f"it answers: {reason}", hint=again) from error
             raise self.stranger(expected, f"another device ({reason})", hint=check) from error
         except (BusTimeout, FrameError) as error:
             raise NotConnected(self.spec.name, absent, hint=hint) from error

@@ -97,7 +97,9 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Receive bytes and return the replies."""
         self.advance(now)
-        if "silent" in self.faults:
+        # Its own frames know no refusal of a reading.
+        failing = self._frames is not None and "failing" in self.faults
+        if failing or "silent" in self.faults:
             return []
         if self._frames is None:
             return [self._numbered(answer) for answer in super().feed(data, now)]

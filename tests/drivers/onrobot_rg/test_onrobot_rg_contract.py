@@ -52,6 +52,17 @@ class TestOnALine(DriverContract):
 pytestmark = pytest.mark.anyio
 
 
+@pytest.mark.parametrize("case", [TCP, LINE])
+async def test_a_tool_that_has_failed_is_not_taken_for_another(case: DeviceCase) -> None:
+    async with Session(case) as session:
+        await session.before(lambda emulator: emulator.inject("failing"))
+        sentence = r"it answers: Modbus exception 4.*supply off and on"
+        with pytest.raises(NotConnected, match=sentence):
+            await session.driver.configure()
+        session.wire.call(session.emulator.clear)
+        await session.start()
+
+
 async def test_it_grips_with_the_force_that_the_effort_means() -> None:
     async with Session(TCP) as session:
         await session.start()
