@@ -42,8 +42,7 @@ _LONGEST: Final = 65536
 """Longest line [characters]: a frame with MediaPipe's whole output takes 10,000."""
 
 _LARGEST: Final = 200_000_000
-"""Largest file [bytes]: hours of frames."""
-
+"""Largest file, also unpacked [bytes]: hours of frames."""
 
 _MOST_LEFT_OUT: Final = 30
 """Most frames in a row that are left out: those of a second of a webcam."""
@@ -220,16 +219,25 @@ def read_frames(path: Path, layout: Layout, side: Side) -> list[TrackerFrame]:
 
 def _of_arrays(path: Path, reader: FrameReader) -> Iterator[TrackerFrame]:
     try:
+        with zipfile.ZipFile(path) as members:
+            # No more is unpacked than this, whatever the headers of the arrays say.
+            unpacked = sum(member.file_size for member in members.infolist())
+        if unpacked > _LARGEST:
+            raise LogError(f"is larger than {_LARGEST // 1_000_000} MB unpacked", path=path)
         with np.load(path, allow_pickle=False) as arrays:
             name = next((name for name in ("points", "joints") if name in arrays), None)
             if name is None:
                 raise ValueError("it has no array 'points'")
-            points = np.array(arrays[name], dtype=np.float64)
+            # Neither text nor complex numbers.
+            points = np.asarray(arrays[name]).astype(np.float64, casting="same_kind")
             times = arrays["t"] if "t" in arrays else np.arange(len(points)) / _RATE
         if points.ndim != 3 or times.shape != points.shape[:1]:
             raise ValueError("it should have points (frames, count, 3) and times t (frames)")
-    except (ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-        raise LogError(f"cannot be read: {error}", path=path) from None
+    except LogError:
+        raise
+    except Exception as error:  # NumPy passes on those of its parsers: of zip, zlib, even tokenize
+        said = reason(error).partition("\n")[0]
+        raise LogError(f"cannot be read: {said}", path=path) from None
     for stamp, each in zip(times.tolist(), points, strict=True):
         # In arrays, a frame of NaN means that no hand was found.
         lost = bool(np.isnan(each).all())

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import struct
+import zipfile
 from collections.abc import AsyncIterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ from rtee.cli.teleop import teleop
 from rtee.errors import GoalRejected, LogError, UserError
 from rtee.hand.catalog import find_hand
 from rtee.retarget import LAYOUTS, Retargeter, Side
+from rtee.retarget import frames as of_files
 from rtee.retarget.frames import TrackerFrame, follow, read_frames
 from rtee.testing.human_hand import HumanHand
 
@@ -135,6 +138,49 @@ def test_results_of_mediapipe_and_arrays_are_read(tmp_path: Path) -> None:
     first, second = read_frames(tmp_path / "hand.npz", LAYOUTS["mediapipe"], Side.RIGHT)
     assert (first.stamp, second.points) == (0.0, None)
     assert first.points == pytest.approx(points)
+
+
+def _npz(path: Path, header: str, data: bytes) -> Path:
+    """Write an array 'points' whose header may not fit its data."""
+    head = f"{header}\n".encode()
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("points.npy", b"\x93NUMPY\x01\0" + struct.pack("<H", len(head)) + head + data)
+    return path
+
+
+def test_arrays_that_cannot_be_read_are_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def header(shape: str, kind: str = "<f8") -> str:
+        return f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}}}"
+
+    random = np.random.default_rng(0).bytes(10 * 21 * 3 * 8)
+    good = _npz(tmp_path / "good.npz", header("(10, 21, 3)"), random).read_bytes()
+    entry = good.index(b"PK\x01\x02")
+    path = tmp_path / "bad.npz"
+
+    def refused(said: str) -> None:
+        with pytest.raises(LogError, match=f"bad.npz: {said}") as caught:
+            read_frames(path, LAYOUTS["mediapipe"], Side.RIGHT)
+        assert "\n" not in str(caught.value)
+
+    for place in range(45, entry - 30, 97):
+        path.write_bytes(good[:place] + bytes([good[place] ^ 0xFF]) + good[place + 1 :])
+        refused("cannot be read: ")
+    for place, value in ((8, 1), (10, 99)):  # encrypted; packed in an unknown way
+        path.write_bytes(good[: entry + place] + bytes([value]) + good[entry + place + 1 :])
+        refused("cannot be read: ")
+    for shape in ("(10**15, 21, 3)", "(1000000000000000, 21, 3)", "(-1, 21, 3)", "(" * 5000):
+        _npz(path, header(shape), bytes(100))
+        refused("cannot be read: ")
+    for kind in ("<c16", "<U2", "|O"):
+        _npz(path, header("(1, 21, 3)", kind), bytes(21 * 3 * 16))
+        refused("cannot be read: ")
+    # Far smaller than what it holds.
+    monkeypatch.setattr(of_files, "_LARGEST", 1_000_000)
+    _npz(path, header("(10000, 21, 3)"), bytes(10000 * 21 * 3 * 8))
+    assert path.stat().st_size < 100_000
+    refused("is larger than 1 MB unpacked")
 
 
 def test_what_a_hand_follows_is_a_file_to_change(
