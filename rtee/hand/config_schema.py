@@ -480,8 +480,8 @@ class Ros2Settings(Section, frozen=True):
         """Check that ROS 2 takes the namespace."""
         if not re.fullmatch(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*/?)?", self.namespace, re.ASCII):
             raise ValueError(
-                "the namespace should consist of letters, digits and underscores, separated by "
-                "slashes"
+                "the namespace should consist of names separated by slashes, each of letters, "
+                f"digits and underscores and without a digit at its start, not '{self.namespace}'"
             )
 
 

@@ -36,7 +36,8 @@ class Message:
             name = field.name
             setattr(self, name, fields.pop(name) if name in fields else field.blank(0.0))
         if fields:
-            wrong, known = next(iter(fields)), (field.name for field in self.STRUCTURE.fields)
+            wrong = next(iter(fields))
+            known = {field.name for field in self.STRUCTURE.fields} - {EMPTY_FIELD}
             raise MessageError(
                 f"{self.STRUCTURE.name} has no field '{wrong}'; {suggestion(wrong, known)}"
             )

@@ -286,8 +286,9 @@ def test_the_environment_is_read_as_by_rmw(tmp_path: Any) -> None:
         configuration(Ros2Settings(router="tcp/robot:7447"), {})
     with pytest.raises(ConfigError, match="'robot' is not an endpoint"):
         configuration(Ros2Settings(router="robot"), {})
-    with pytest.raises(ValueError, match="the namespace should consist"):
-        Ros2Settings(namespace="left hand")
+    for name in ("left hand", "2nd/hand"):
+        with pytest.raises(ValueError, match=f"without a digit at its start, not '{name}'"):
+            Ros2Settings(namespace=name)
     far = configuration(Ros2Settings(router="tcp/robot:7447"), {}, insecure=True)
     assert far.get_json("mode") == '"client"'
 

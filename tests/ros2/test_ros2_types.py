@@ -176,6 +176,9 @@ def test_wrong_fields_are_told() -> None:
     joints = known.message("sensor_msgs/msg/JointState")
     with pytest.raises(MessageError, match="no field 'postion'"):
         joints(postion=[1.0])
+    # The byte that such a message has in C is no field to give.
+    with pytest.raises(MessageError, match="Trigger_Request has no field 'a'; there are none"):
+        known.service("std_srvs/srv/Trigger").request(a=1)
     with pytest.raises(MessageError, match=r"JointState\.name"):
         joints(name="a").encode()
     with pytest.raises(MessageError, match=r"JointState\.position"):
