@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import inspect
 import json
 import math
@@ -12,7 +13,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Coroutine, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_type_hints
 
 import typer
 from typer.core import TyperCommand
@@ -153,7 +154,8 @@ EmulatedOption = Annotated[
 IdealOption = Annotated[
     bool,
     typer.Option(
-        "--ideal", help="Emulated devices as on their data sheets, without lag, backlash or noise."
+        "--ideal",
+        help="With --emulated: as on their data sheets, without lag, backlash or noise.",
     ),
 ]
 FrictionOption = Annotated[
@@ -187,33 +189,59 @@ EffortOption = Annotated[
 XacroArguments = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[NAME:=VALUE]...", help="Arguments of the xacro file that --urdf names."
+        metavar="[NAME:=VALUE]...",
+        help="With --urdf or --mjcf: arguments of the xacro files.",
     ),
 ]
 AngleOption = Annotated[
     AngleUnit | None,
-    typer.Option(help="Unit of the angles of an MJCF that does not say; degree unless given."),
+    typer.Option(
+        help="With --mjcf: unit of the angles, where the file does not say; degree unless given."
+    ),
 ]
 # Process of the `rtee run` that started this command, which ends with it, even if it is killed.
 BesideOption = Annotated[int | None, typer.Option(metavar="PID", hidden=True)]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
+_NAME = r"(?:--[\w-]+|[A-Z]+)"
+_PARTNERS = re.compile(rf"(With|Without) ({_NAME}(?:(?:, | or ){_NAME})*): ")
+"""Beginning of the help of an option that counts only with one of the options or arguments named,
+or without all of them."""
+
+
 class _Command(TyperCommand):
-    """A command that refuses NaN and infinity, and whose ``--wait`` may have no number.
+    """A command that refuses what would have no effect, and whose ``--wait`` may have no number.
+
+    Refused are NaN and infinity, which the ranges of options let pass; empty words; and options
+    without those that their help says they go with ("With --emulated: …"), or along with those that
+    exclude them ("Without --check: …").
 
     A command that speaks to a running hand takes the hand as its first word, too.
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments; refuse NaN and infinity, which the ranges of options let pass."""
+        """Parse the arguments; raise `typer.BadParameter` for those that are refused."""
+        empty = any(word == "" or re.fullmatch("--[a-z-]+=", word) for word in args)
         rest = super().parse_args(ctx, self._with_hand(self._with_wait(args)))
-        for option in self.params:
+        given = [each for each in self.params if _is_given(ctx, each)]
+        for option in given:
+            _check_partners(ctx, option, given)
             value = ctx.params.get(option.name)
             for each in value if isinstance(value, list | tuple) else (value,):
+                # An empty path is the present folder.
+                if empty and each in ("", Path()):
+                    raise _Misplaced(f"{_shown(option)} is empty", ctx=ctx)
                 if isinstance(each, float) and not math.isfinite(each):
                     raise typer.BadParameter("should be a finite number", ctx=ctx, param=option)
         return rest
+
+    def _valued(self, name: str) -> bool:
+        return any(
+            name in option.opts and not getattr(option, "is_flag", False)
+            for option in self.params
+            if option.param_type_name == "option"
+        )
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Return the pieces of the usage line, with the hand before the other arguments."""
@@ -243,12 +271,6 @@ class _Command(TyperCommand):
 
     def _first_word(self, args: list[str]) -> int | None:
         """Return the index of the first argument that is neither an option nor its value."""
-        valued = {
-            name
-            for option in self.params
-            if option.param_type_name == "option" and not getattr(option, "is_flag", False)
-            for name in option.opts
-        }
         place = 0
         while place < len(args):
             word = args[place]
@@ -257,7 +279,7 @@ class _Command(TyperCommand):
                 break
             if not word.startswith("-") or word == "-":
                 break
-            place += 2 if word in valued else 1
+            place += 2 if self._valued(word) else 1
         return place if place < len(args) else None
 
     def _with_wait(self, args: list[str]) -> list[str]:
@@ -273,6 +295,47 @@ class _Command(TyperCommand):
             if index + 1 >= end or not _is_number(args[index + 1]):
                 args = [*args[: index + 1], f"{READY_WITHIN:g}", *args[index + 1 :]]
         return args
+
+
+def _is_given(ctx: Any, option: Any) -> bool:
+    """Return whether the command line has this option or argument."""
+    source = ctx.get_parameter_source(option.name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def _check_partners(ctx: Any, option: Any, given: Sequence[Any]) -> None:
+    """Refuse an option whose help names options that it needs, or that exclude it."""
+    match = _PARTNERS.match(getattr(option, "help", None) or "")
+    if match is None:
+        return
+    named = {name for other in given for name in (*other.opts, _plain(other.metavar))}
+    names = re.findall(_NAME, match[2])
+    present = [name for name in names if name in named]
+    own = _shown(option)
+    if match[1] == "With" and not present:
+        raise _Misplaced(f"{own} needs {' or '.join(names)}", ctx=ctx)
+    if match[1] == "Without" and present:
+        raise _Misplaced(f"{own} and {present[0]} exclude each other", ctx=ctx)
+
+
+def _plain(metavar: str | None) -> str:
+    """Return what stands for an argument in the help, without brackets and dots."""
+    return (metavar or "").strip("[].…")
+
+
+def _shown(option: Any) -> str:
+    """Return the name of an option or an argument in messages."""
+    if option.param_type_name == "option":
+        return str(option.opts[0])
+    return _plain(option.metavar) or str(option.name)
+
+
+class _Misplaced(typer.BadParameter):
+    """An option without another one that it needs, or with one that excludes it."""
+
+    def format_message(self) -> str:
+        """Return the sentence alone: it is no value that is wrong."""
+        return str(self.message)
 
 
 def _is_number(word: str) -> bool:
@@ -306,7 +369,9 @@ def described(command: F) -> F:
         name, specs, told = match.groups()
         optional = parameters[name].kind is inspect.Parameter.KEYWORD_ONLY
         known = getattr(hints[name], "__metadata__", ())
-        info: Any = known[0] if known else typer.Option() if optional else typer.Argument()
+        new = typer.Option() if optional else typer.Argument()
+        # Of a shared option a copy: what is said here is true of this command only.
+        info: Any = copy.copy(known[0]) if known else new
         info.help, names = told, []
         for spec in specs.split("; ") if specs else ():
             low, dots, high = spec.partition("..")
@@ -318,7 +383,9 @@ def described(command: F) -> F:
                 info.metavar = spec
         if optional:
             info.param_decls = names or [f"--{name.strip('_').replace('_', '-')}"]
-        hints[name] = hints[name] if known else Annotated[hints[name], info]
+            info.default = ...  # where a shared option has its first name
+        kind = get_args(hints[name])[0] if known else hints[name]
+        hints[name] = Annotated[kind, info]
     command.__doc__, command.__annotations__ = text.strip(), hints
     return command
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from collections.abc import Coroutine, Mapping, Sequence
+from collections.abc import Coroutine, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from math import isfinite
 from pathlib import Path
@@ -27,6 +28,7 @@ from rtee.cli._common import (
 )
 from rtee.drivers.diagnosis.checks import Verdict, ok, wrong
 from rtee.errors import (
+    BusBusy,
     ConfigError,
     DeviceFault,
     GoalRejected,
@@ -86,6 +88,18 @@ def _finished(work: Coroutine[Any, Any, T], *, simulated: bool) -> T:
         return runner.run(work)
 
 
+@contextmanager
+def _naming_the_hand(hand: str) -> Iterator[None]:
+    """Say of a port in use that the hand has it, if it runs: the doctor would only ask that."""
+    try:
+        yield
+    except BusBusy as error:
+        name = _running(hand)
+        if name is None:
+            raise
+        raise BusBusy(error.bus, f"the running hand '{name}' has it open; end it first") from error
+
+
 def _with_options(spec: DeviceSpec, **options: Any) -> DeviceSpec:
     """Return a device with some of its options replaced; ``None`` removes one."""
     merged = {**spec.options, **options}
@@ -108,11 +122,15 @@ def doctor(
 
     Arguments and options:
         hand ([HAND]): Name of a hand, or its folder; without it only this computer is checked.
-        first_contact: Lead through the first hour with a real device: it asks, moves little by
-            little, and writes a report.
-        out (DIR): Folder of that report; by default logs/.
-        files (DIR): Only write the files for a robot PC: udev rule, limits, service.
-        ros2: Also check the ROS 2 graph: which nodes cannot hear each other.
+        device (NAME): With HAND: only this one of its devices; by default all.
+        emulated: With HAND: talk to emulators instead of the real devices.
+        first_contact: With HAND: lead through the first hour with a real device: it asks, moves
+            little by little, and writes a report.
+        out (DIR): With --first-contact: folder of the report; by default logs/.
+        files (DIR): Without HAND: only write the files for a robot PC: udev rule, limits, service.
+        ros2: Without --files or --first-contact: also check the ROS 2 graph: which nodes cannot
+            hear each other.
+        as_json (--json): Without --files or --first-contact: print one JSON object.
     """
     if files is not None:
         from rtee.deploy.files import write_files
@@ -122,8 +140,7 @@ def doctor(
         return
 
     if first_contact:
-        if hand is None:
-            raise ConfigError("give the hand: rtee doctor --first-contact HAND")
+        assert hand is not None  # noqa: S101 - its help says so, and is obeyed
         raise typer.Exit(_first_contact(_devices_of(hand, device, emulated, ideal), out))
 
     from rtee.buses.pool import BusPool
@@ -338,7 +355,8 @@ def locate(
                 identity = driver.capabilities.identity
                 print(f"{spec.name}: that was {', '.join(identity.values()) or 'it'}")
 
-    _finished(execute(), simulated=emulated)
+    with _naming_the_hand(hand):
+        _finished(execute(), simulated=emulated)
 
 
 def calibrate(
@@ -361,14 +379,15 @@ def calibrate(
     Arguments and options:
         actions (ACTION…): With --opening: ACTION or ACTION:ELEMENT,ELEMENT; all unless given.
         opening: Measure openings of the running hand with gauge blocks instead.
-        out (FILE): File to write; by default that in hand.yaml, or one beside it.
-        yes (--yes; -y): Don't wait for Enter.
+        device (NAME): Without --opening: only this device of the hand; by default all.
+        out (FILE): Without --opening: file to write; by default that in hand.yaml, or one beside
+            it.
+        emulated: Without --opening: talk to emulators instead of the real devices.
+        yes (--yes; -y): Without --opening: don't wait for Enter.
     """
     if opening:
         calibrate_opening(hand, actions or ())
         return
-    if actions:
-        raise ConfigError("actions need --opening")
     from rtee.buses.pool import BusPool
     from rtee.drivers import calibration
     from rtee.drivers.registry import find_driver
@@ -405,8 +424,9 @@ def calibrate(
                         f"  to use it, add to the device's options: calibration: {path.resolve()}"
                     )
 
-    # This waits for a person, in real time.
-    _finished(execute(), simulated=emulated and yes)
+    with _naming_the_hand(hand):
+        # This waits for a person, in real time.
+        _finished(execute(), simulated=emulated and yes)
 
 
 _SPEED: Final = 0.2

@@ -41,16 +41,17 @@ def emulate(
         device (DEVICE): Name of a driver.
         link (PATH): Make a link to the port at this path.
         tcp (0..65535; PORT): Listen on a TCP port.
-        host: Address to listen on.
-        raw: The TCP port carries a serial line's bytes.
+        host: With --tcp: address to listen on.
+        raw: With --tcp: the port carries a serial line's bytes.
         can (CHANNEL): Be a node on a CAN channel.
-        interface: python-can interface of the channel.
+        interface: With --can: python-can interface of the channel.
         baudrate (1..): Bits per second.
-        strict_rate: On a tty, receive only at that rate.
+        strict_rate: Without --tcp or --can: on the tty, receive only at that rate.
         set_ (NAME=VALUE): A property of the emulated device, written as in YAML: unit=9, 'ids=[1,
             2, 3]'.
         object_ (SIZE): Object between its fingers: 50mm, or the fraction of the closing travel,
             0.4.
+        ideal: As on its data sheet, without lag, backlash or noise.
         fault (NAME): A fault that it has from the start.
     """
     from rtee.drivers.emulator_server import Player

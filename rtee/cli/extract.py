@@ -81,8 +81,8 @@ def extract(
         hand ([HAND]): Name of a hand, or its folder.
         urdf: A URDF, or a xacro file, instead of a configured hand.
         mjcf: A model in MuJoCo's MJCF instead of a URDF.
-        srdf: The model's SRDF; without it the fingers are found.
-        package_dir: Folder to look packages up in; repeatable.
+        srdf: With --urdf or --mjcf: the model's SRDF; without it the fingers are found.
+        package_dir: With --urdf or --mjcf: folder to look packages up in; may be repeated.
         out: Write the primitives to files in this folder.
         save: Write the primitives to the hand's own actions, and their openings.
         report: Write a page with a picture of every action (HTML).
@@ -90,7 +90,7 @@ def extract(
         rank: Which posture of a pinch comes first.
     """
     from rtee.actions.openings import write_openings
-    from rtee.exchange.reading import as_srdf, as_urdf
+    from rtee.exchange.reading import as_urdf_and_srdf
     from rtee.hand.load import load_hand
 
     # The matrices are small; threads for their products would only slow down the searches.
@@ -102,8 +102,6 @@ def extract(
         hand = None
     if sum(given is not None for given in (hand, urdf, mjcf)) != 1:
         raise ConfigError("give a hand, --urdf or --mjcf, and only one of them")
-    if hand is not None and (srdf or root or package_dir or words):
-        raise ConfigError("--srdf, --root, --package-dir and NAME:=VALUE go with --urdf or --mjcf")
     subtree = subtree_of(root, outside)
     folder = hand_folder(hand) if hand is not None else None
     # Refuse all mistakes before the search, which may take minutes.
@@ -125,10 +123,8 @@ def extract(
             if folder is not None:
                 model = load_hand(folder)
             else:
-                folders = package_dir or []
-                readable = stack.enter_context(as_urdf(urdf, mjcf, words, folders, root, angle))
-                groups = stack.enter_context(as_srdf(srdf, (), folders))
-                model = _hand_in(readable, groups, subtree)
+                models = as_urdf_and_srdf(urdf, mjcf, srdf, words, package_dir or [], root, angle)
+                model = _hand_in(*stack.enter_context(models), subtree)
             with progress_bar() as progress:
                 extraction = run(model, jobs=jobs, rank=rank.value, progress=progress)
         page = {} if report is None else {report: _report(model, extraction, folder, jobs)}

@@ -58,6 +58,7 @@ def grasp_plan(
         top (1..): How many grasps are shown.
         check: Try the best ones in simulation, and more until one holds (extra sim).
         save (NAME): Store the first choice as an action of the hand.
+        replace: With --save: replace an action of the same name; it keeps its description.
     """
     with needing_extra("planning a grasp", "extract"):
         from rtee.hand.meshes import FORMATS

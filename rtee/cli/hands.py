@@ -24,6 +24,9 @@ def hands(
 
     Arguments and options:
         running: Show the hands that run, as 'rtee status --all'.
+        connect (--connect): With --running or --watch: where hands run, or a router of theirs, such
+            as tls/router:7447; may be repeated.
+        watch: Show the hands that run, every two seconds, until Ctrl-C.
     """
     if running or watch:
         show_fleet(connect or [], as_json=as_json, watch=watch)

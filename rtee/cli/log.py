@@ -322,10 +322,12 @@ def replay(
     """Show a recording to the GUI and all clients, or check that it is reproduced exactly.
 
     Arguments and options:
+        series: With --check: use all parts of the recording that FILE belongs to.
         checking (--check): Compute the references again and compare them bit for bit.
-        speed (0.01..1000.0): How fast time passes in it.
-        repeat: Begin again at the end.
-        gui: Open the hand in the browser.
+        speed (0.01..1000.0): Without --check: how fast time passes in it.
+        repeat: Without --check: begin again at the end.
+        gui: Without --check: open the hand in the browser.
+        as_json (--json): With --check: print one JSON object.
     """
     paths = _paths(file, series)
     if checking:
@@ -334,8 +336,6 @@ def replay(
 
         _show_check(check(_telling(windows(paths, only=TOPICS))), as_json)
         return
-    if len(paths) > 1:
-        raise LogError("--series needs --check; without it, replay one part after the other")
     raise typer.Exit(_run_recording(paths[0], speed=speed, repeat=repeat, gui=gui))
 
 
@@ -463,15 +463,13 @@ def recover(
     Arguments and options:
         files (FILE…): Recordings, or folders: their newest recordings.
         output (--out; PATH): The repaired file; NAME_recovered.mcap unless given.
-        in_place: Replace the damaged file.
+        in_place: Without --out: replace the damaged file.
     """
     from rtee.log.recover import recover as repair
 
     paths = [path for file in files for path in _paths(file, False)]
     if output is not None and len(paths) > 1:
         raise LogError("--out needs exactly one file")
-    if output is not None and in_place:
-        raise LogError("--out and --in-place exclude each other")
     for file in paths:
         recovery = repair(file, output, in_place=in_place)
         verb = (

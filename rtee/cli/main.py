@@ -242,4 +242,6 @@ def _explain(error: Any) -> None:
     if context is not None and (unknown := _NO_COMMAND.match(message)):
         close = closest(unknown[1], context.command.list_commands(context))
         message = f"{unknown[0]} (did you mean '{close}'?)" if close else unknown[0]
-    print(f"rtee: {message[:1].lower()}{message[1:]}{remedy}", file=sys.stderr)
+    # A sentence begins small after the program's name, but not the name of an argument.
+    small = message[:1].lower() + message[1:] if message[1:2].islower() else message
+    print(f"rtee: {small}{remedy}", file=sys.stderr)

@@ -29,13 +29,16 @@ if TYPE_CHECKING:
 RootOption = Annotated[
     str | None,
     typer.Option(
-        "--root", metavar="LINK", help="The link below which the hand is, out of a whole robot."
+        "--root",
+        metavar="LINK",
+        help="With --urdf or --mjcf: the link below which the hand is, out of a whole robot.",
     ),
 ]
 OutsideOption = Annotated[
     Outside,
     typer.Option(
-        help="How to treat links that are not below --root: absent, or rigid, as an obstacle."
+        help="With --root: how to treat links that are not below it: absent, or rigid, as an "
+        "obstacle."
     ),
 ]
 
@@ -61,11 +64,11 @@ def new(
         name: Name of the new hand.
         urdf: Its URDF, or a xacro file, which is run.
         mjcf: Its model in MuJoCo's MJCF instead of a URDF.
-        srdf: Its SRDF; without one the fingers are found.
-        package_dir: Folder to look packages up in; may be repeated.
+        srdf: With --urdf or --mjcf: its SRDF; without one the fingers are found.
+        package_dir: With --urdf or --mjcf: folder to look packages up in; may be repeated.
         source (--from; HAND): A hand to copy instead, with its actions.
         into: Folder of the hands.
-        ask: Ask about choices that the files leave open.
+        ask: With --urdf or --mjcf: ask about choices that the files leave open.
     """
     if sum(given is not None for given in (urdf, mjcf, source)) != 1:
         raise ConfigError("give one of --urdf FILE, --mjcf FILE and --from HAND")
@@ -77,24 +80,15 @@ def new(
             f"hand name '{name}' would be taken for a file; choose one without this ending"
         )
     if source is not None:
-        if srdf or root or package_dir or arguments:
-            raise ConfigError(
-                "--srdf, --root, --package-dir and NAME:=VALUE go with --urdf or --mjcf"
-            )
         _copy(hand_folder(source), into / name)
         return
     with needing_extra("making a hand from a URDF", "extract"):
         from rtee.hand.scaffold import make_hand
 
-    from rtee.exchange.reading import XACRO, as_srdf, as_urdf
+    from rtee.exchange.reading import as_urdf_and_srdf
 
     words, folders = arguments or [], package_dir or []
-    # Only xacro files have arguments; with any other model, those given are the SRDF's.
-    own = words if srdf is None or srdf.suffix != XACRO or (urdf and urdf.suffix == XACRO) else []
-    with (
-        as_urdf(urdf, mjcf, own, folders, root, angle) as model,
-        as_srdf(srdf, words, folders) as groups,
-    ):
+    with as_urdf_and_srdf(urdf, mjcf, srdf, words, folders, root, angle) as (model, groups):
         new_hand = make_hand(
             name, model.urdf, groups, package_dirs=model.package_dirs, into=into,
             ask=typer.confirm if ask else None, passive=model.passive, excluded=model.excluded,
@@ -147,11 +141,7 @@ def new_driver(
 
 
 def subtree_of(root: str | None, outside: Outside) -> Subtree | None:
-    """Return the part of a robot that is the hand; ``None``: all. ``outside`` needs a ``root``."""
+    """Return the part of a robot that is the hand; ``None``: all."""
     from rtee.hand.subtree import Subtree
 
-    if root is None and outside is not Outside.ABSENT:
-        raise ConfigError(
-            "--outside needs --root LINK: it applies to the links that are not below that link"
-        )
     return None if root is None else Subtree(root, outside)

@@ -13,7 +13,7 @@ import numpy as np
 
 from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned, to_json
 from rtee.cli._table import Column, table_of
-from rtee.errors import ConfigError, needing_extra
+from rtee.errors import needing_extra
 from rtee.hand.own_copy import own_place
 
 if TYPE_CHECKING:
@@ -40,8 +40,8 @@ def retarget(
     Arguments and options:
         save: Find the correspondence in the model, and store it as retarget.yaml.
         show: Show it in the browser, beside a person's hand.
-        landmarks (FILE): The points to show; by default, a pinching hand.
-        port (0..65535): Port of the page.
+        landmarks (FILE): With --show: the points to show; by default, a pinching hand.
+        port (0..65535): With --show: port of the page.
     """
     with needing_extra("retargeting", "retarget"):
         from rtee.retarget.correspondence import read_correspondence, write_correspondence
@@ -65,8 +65,6 @@ def retarget(
         _show(library.hand, found)
     if show:
         _open_page(folder, landmarks, port)
-    elif landmarks is not None:
-        raise ConfigError("--show needs --landmarks")
 
 
 def _open_page(folder: Path, file: Path | None, port: int) -> None:

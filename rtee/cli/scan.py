@@ -33,8 +33,8 @@ def scan(
         port (PORT): A tty, or socket://host:port; by default, all serial ports.
         host (HOST): A Modbus TCP address, host[:port].
         can (CHANNEL): A CAN channel, such as can0.
-        interface: python-can interface.
-        bitrate (1..): Bits per second of the CAN bus.
+        interface: With --can: python-can interface.
+        bitrate (1..): With --can: bits per second of the bus.
         unit (0..255; N): Modbus number to query; by default, the usual ones.
         wait (0.001..60; SECONDS): Longest time for an answer; more on a busy computer or over a
             network.

@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from rtee import monotonic
 from rtee.cli._common import ConnectOption, RunningOption, to_json, with_hand
 from rtee.cli._table import Column, Row, TextTable, on_terminal, prefix_to_drop, table_of
@@ -48,12 +46,10 @@ def state(
 
     Arguments and options:
         once: Show it once, even on a terminal.
-        follow (--follow; -f): Keep going, even if the output is not a terminal.
+        follow (--follow; -f): Without --once: keep going, even if the output is not a terminal.
         rate (0.1..): States per second that are shown or printed.
         as_json (--json): Print JSON, one object per line and state.
     """
-    if once and follow:
-        raise typer.BadParameter("--once and --follow exclude each other")
 
     async def execute(remote: RemoteHand) -> None:
         # In a script, the command has to end by itself.

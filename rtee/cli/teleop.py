@@ -65,9 +65,9 @@ def teleop(
         keyboard: From the keyboard: q/a, w/s, e/d, …; space opens.
         landmarks (FILE|-): Points of a person's hand: lines of JSON, or .npz; - reads them from
             standard input.
-        layout: Their order and unit: mediapipe webxr leap manus manus21 mano.
-        side: Which of the person's hands: right or left.
-        device (PATH): The gamepad, such as /dev/input/event5.
+        layout: With --landmarks: their order and unit: mediapipe webxr leap manus manus21 mano.
+        side: With --landmarks: which of the person's hands: right or left.
+        device (PATH): With --gamepad: which one, such as /dev/input/event5.
         rate: Samples per second.
     """
     if gamepad + keyboard + (landmarks is not None) != 1:

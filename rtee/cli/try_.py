@@ -76,20 +76,24 @@ def try_(
         elements ([ELEMENT]…): Elements of a primitive.
         object_ (SHAPE): box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, a mesh, or a
             folder of meshes; may be repeated.
-        intensity (0.0..1.0): How far the action goes.
-        mass (0.001..100.0): Mass of the object [kg].
+        intensity (0.0..1.0): Without --task or --all: how far the action goes.
+        mass (0.001..100.0): Without --all: mass of the object [kg].
+        friction (--friction; 0.0..10.0; MU): Without --task or --all: friction of hand and object
+            in simulation; 1 at fingertips and 0.8 elsewhere unless given.
         variations (0..1000; N): Try N times more with size ±10 %, mass up to +50 %, position ±10
             mm, turns of up to 10°, friction 0.5 to 1; 20 with --all unless given.
         seed (0..): Seed of the variations.
-        choose_by (10..1000; N): Choose the object's place by N tries with other variations; 20 or
-            more find better places, 40 or more look for the middle of where the object is held
-            along each axis, too, and take longer; 10 unless given.
-        all_: All actions with all standard objects; resumable.
-        until (0.01..0.99; RATE): Leave variations out once the interval lies to one side of this
-            rate, such as 0.7; all are tried unless given.
+        choose_by (10..1000; N): Without --task: choose the object's place by N tries with other
+            variations; 20 or more find better places, 40 or more look for the middle of where the
+            object is held along each axis, too, and take longer; 10 unless given.
+        all_: Without --task: all actions with all standard objects; resumable.
+        until (0.01..0.99; RATE): With --all or --variations: leave variations out once the interval
+            lies to one side of this rate, such as 0.7; all are tried unless given.
         again: With --all: repeat trials whose results are known.
-        out (FOLDER|FILE): Where --all writes its results, if not with the hand: Parquet files in
-            a folder, or a small .yaml.
+        jobs (--jobs; -j; 0..): With --all: processes; 0: one per processor.
+        cluster (--cluster; ADDRESS): With --all: a sweep on the Dask cluster with this scheduler.
+        out (FOLDER|FILE): With --all: where its results are written, if not with the hand: Parquet
+            files in a folder, or a small .yaml.
         task (TASK): egg (breaks above 8 N), cup (filled with 500 g while held) or tug (of 5 N),
             instead of lifting and shaking; may be repeated.
         reflexes (--reflexes/--no-reflexes): With --task: with reflexes only, or without only; both
@@ -97,8 +101,8 @@ def try_(
         force (FORCE): With --task: force to hold with; 3N unless given.
         max_force (FORCE): With --task: force up to which a slip raises it; 7N unless given.
         width (LENGTH): With --task: width of the object, if not its smallest extent.
-        pictures (DIR): Write a strip of pictures of each trial.
-        log (DIR): Folder for recordings of the trials.
+        pictures (DIR): Without --task or --all: write a strip of pictures of each trial.
+        log (DIR): Without --task or --all: folder for recordings of the trials.
         json_: Print JSON.
     """
     if object_:
@@ -106,23 +110,13 @@ def try_(
             from rtee.drivers.mujoco.objects import MESHES
         object_ = meshes_in(object_, MESHES)
     if task:
-        if all_ or again or cluster or out or pictures or log or friction is not None:
-            raise ConfigError(
-                "--task cannot be combined with --all, --again, --cluster, --out, --pictures, "
-                "--log and "
-                "--friction"
-            )
         if action is None:
             raise ConfigError("which action? give its name, such as Grasp")
-        if intensity != 1.0:
-            raise ConfigError("--task closes until contact; leave out --intensity")
         tell_of_meshes(object_ or [])
         tell_of_limits([resolved(hand)])
         options = TaskOptions(task, reflexes, force, max_force, width, mass, variations, seed)
         try_tasks(resolved(hand), action, elements or [], object_ or [], options, json_)
         return
-    if reflexes is not None or force or max_force or width:
-        raise ConfigError("--reflexes, --no-reflexes, --force, --max-force and --width need --task")
 
     with needing_extra("a trial", "sim"):
         from rtee.trials.bench import bench
@@ -135,10 +129,8 @@ def try_(
     tell_of_limits([name])
     choosing = CHOOSING if choose_by is None else choose_by
     if all_:
-        if action is not None or pictures is not None or log is not None:
-            raise ConfigError("--all tries all actions; leave out the action, --pictures and --log")
-        if friction is not None:
-            raise ConfigError("--all varies the usual friction; leave out --friction")
+        if action is not None:
+            raise ConfigError("--all tries all actions; leave out the action")
         varied = _VARIATIONS if variations is None else variations
         trials = all_trials(bench(name).library, object_ or OBJECTS, varied, seed, choosing, until)
         results = _all(name, trials, jobs, again, cluster, out)

@@ -77,8 +77,33 @@ def xacro_as_urdf(
 
 
 @contextmanager
-def as_srdf(
-    path: Path | None, arguments: Sequence[str] = (), package_dirs: Sequence[Path] = ()
+def as_urdf_and_srdf(
+    urdf: Path | None,
+    mjcf: Path | None,
+    srdf: Path | None,
+    arguments: Sequence[str],
+    package_dirs: Sequence[Path],
+    root: str | None = None,
+    angle: AngleUnit | None = None,
+) -> Iterator[tuple[ReadableModel, Path | None]]:
+    """Return a context in which a model exists as a URDF, and its SRDF, if any, as a plain file.
+
+    ``arguments`` are those of the URDF's and the SRDF's xacro file; the other arguments and the
+    errors are those of `as_urdf` and of the SRDF's expansion.
+    """
+    expanded = srdf is not None and srdf.suffix == XACRO
+    # Only xacro files have arguments; with any other model, those given are the SRDF's.
+    own = () if expanded and not (urdf and urdf.suffix == XACRO) else arguments
+    with (
+        as_urdf(urdf, mjcf, own, package_dirs, root, angle) as model,
+        _as_srdf(srdf, arguments, package_dirs) as groups,
+    ):
+        yield model, groups
+
+
+@contextmanager
+def _as_srdf(
+    path: Path | None, arguments: Sequence[str], package_dirs: Sequence[Path]
 ) -> Iterator[Path | None]:
     """Return a context in which an SRDF exists, expanded if its name ends with ``.xacro``.
 

@@ -87,7 +87,7 @@ def test_blocks_are_measured_and_kept_one_by_one(place: Path) -> None:
 
 
 def test_what_cannot_be_calibrated_is_refused(place: Path) -> None:
-    assert "actions need --opening" in calibrate(place, "PinchTight", typed="", status=2)
+    assert "ACTION needs --opening" in calibrate(place, "PinchTight", typed="", status=2)
     assert "unknown action" in calibrate(place, "--opening", "Nope", typed="", status=2)
 
 

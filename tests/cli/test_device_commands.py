@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -69,6 +70,29 @@ def test_a_hand_is_located_and_calibrated(tmp_path: Path, monkeypatch: pytest.Mo
     # hand.yaml is also read from other folders than this one.
     assert f"options: calibration: {file}\n" in text
     assert json.loads(file.read_text())["model"] == "2f_85"
+
+
+def test_a_port_that_the_running_hand_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It sent people to the doctor, which only asked the running hand."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "run"))
+    rtee("new", "mine", "--from", "robotiq_2f_85")
+    port, file = tmp_path / "port", tmp_path / "config" / "mine" / "hand.yaml"
+    text = file.read_text().replace("/dev/ttyUSB0", str(port))
+    file.write_text(text.replace("name: robotiq_2f_85", "name: mine"))
+    devices = ("run", "mine", "--driver", "devices", "--no-log")
+    with ExitStack() as stack:
+        for words in (("emulate", "robotiq_2f", "--link", str(port)), devices):
+            ran = subprocess.Popen(
+                [*RTEE, *words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
+            )
+            stack.enter_context(ran)
+            stack.callback(ran.send_signal, signal.SIGTERM)
+            assert ran.stdout is not None
+            assert "robotiq_2f" in ran.stdout.readline() or words is devices
+        for command in ("locate", "calibrate"):
+            text = rtee(command, "mine", "--yes", status=1)
+            assert f"'{port}': the running hand 'mine' has it open; end it first" in text
 
 
 def test_a_device_that_is_none_is_named() -> None:

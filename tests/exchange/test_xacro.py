@@ -46,6 +46,18 @@ JAW = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
 </robot>
 """
 
+GROUPS = """<robot name="claw" xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:arg name="prefix" default=""/>
+  <group name="one">
+    <chain base_link="palm" tip_link="$(arg prefix)left_jaw"/>
+  </group>
+  <group name="two">
+    <chain base_link="palm" tip_link="$(arg prefix)right_jaw"/>
+  </group>
+  <group name="end_effector_fingers"><group name="one"/><group name="two"/></group>
+</robot>
+"""
+
 
 @pytest.fixture
 def xacro(tmp_path: Path) -> Path:
@@ -183,6 +195,11 @@ def test_the_commands_take_xacro(xacro: Path, tmp_path: Path) -> None:
     ran = run("extract", "--urdf", xacro, "reach:=0.07", *packages, "--jobs", 1)
     assert ran.returncode == 0, ran.stderr
     assert "PinchTight" in ran.stdout
+    srdf = tmp_path / "claw.srdf.xacro"
+    srdf.write_text(GROUPS)
+    ran = run("extract", "--urdf", xacro, "--srdf", srdf, "prefix:=a_", *packages, "--jobs", 1)
+    assert ran.returncode == 0, ran.stderr
+    assert "PinchTight  one, two" in ran.stdout
     ran = run("extract", "mine", "reach:=0.07")
     assert ran.returncode == 2
-    assert "go with --urdf" in ran.stderr
+    assert "NAME:=VALUE needs --urdf or --mjcf" in ran.stderr

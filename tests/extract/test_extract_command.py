@@ -98,7 +98,7 @@ def test_the_table_shows_every_primitive(
     [
         ([], "give a hand, --urdf or --mjcf, and only one of them"),
         (["--urdf", "missing.urdf"], "missing.urdf"),
-        (["dagana", "--srdf", "a.srdf"], "go with --urdf"),
+        (["dagana", "--srdf", "a.srdf"], "--srdf needs --urdf or --mjcf"),
         (["dagana", "--urdf", "a.urdf"], "give a hand, --urdf or --mjcf, and only one of them"),
         (["no_such_hand"], "unknown hand 'no_such_hand'"),
     ],

@@ -363,10 +363,7 @@ def test_new_ends_with_what_makes_the_actions(shipped: Path) -> None:
             f"mine --from {GRIPPER} --urdf g.urdf",
             "give one of --urdf FILE, --mjcf FILE and --from HAND",
         ),
-        (
-            f"mine --from {GRIPPER} --srdf g.srdf",
-            "--srdf, --root, --package-dir and NAME:=VALUE go with --urdf or --mjcf",
-        ),
+        (f"mine --from {GRIPPER} --srdf g.srdf", "--srdf needs --urdf or --mjcf"),
         ("mine --from nix", "unknown hand 'nix'"),
         (f"a/b --from {GRIPPER}", "'a/b'"),
     ],

@@ -94,8 +94,6 @@ def test_a_force_too_small_to_move_the_hand_is_told() -> None:
     [
         (["Grasp", "--task", "eg"], ConfigError, "unknown task 'eg'; did you mean 'egg'?"),
         (["--task", "egg"], ConfigError, "which action?"),
-        (["Grasp", "--task", "egg", "--all"], ConfigError, "--task cannot be combined with --all"),
-        (["Grasp", "--reflexes"], ConfigError, "need --task"),
         (["Grasp", "--task", "egg", "--force", "3kg"], GoalRejected, "the force must be a force"),
         (
             ["Grasp", "--task", "egg", "--force", "5N", "--max-force", "4N"],
