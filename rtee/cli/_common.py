@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 HAND_VARIABLE = "RTEE_HAND"
 """Environment variable that names the hand where no option does."""
 
+_CONNECT = "RTEE_CONNECT"
+"""Environment variable with the endpoint of a hand elsewhere."""
+
 
 def complete_hand(incomplete: str) -> list[str]:
     """Return the configured hands that begin with the given text."""
@@ -124,7 +127,7 @@ ConnectOption = Annotated[
     str | None,
     typer.Option(
         "--connect",
-        envvar="RTEE_CONNECT",
+        envvar=_CONNECT,
         metavar="ENDPOINT",
         help="Where the hand runs, if elsewhere, such as tcp/robot:7447.",
     ),
@@ -255,7 +258,7 @@ class _Command(TyperCommand):
         """Return the arguments; if the first word is a hand, it becomes the option ``--hand``.
 
         Where the word may mean something else, it counts as a hand if a hand of this name runs or
-        starts here, or if the command waits for one.
+        starts here, or if there is one and the command waits for it or looks elsewhere.
         """
         given = any(word == "--hand" or word.startswith("--hand=") for word in args)
         place = None if given or not self._takes_running() else self._first_word(args)
@@ -263,8 +266,9 @@ class _Command(TyperCommand):
             return args
         word = args[place]
         if any(option.param_type_name == "argument" for option in self.params):
-            waits = any(each == "--wait" or each.startswith("--wait=") for each in args)
-            if word not in complete_running(word) and not (waits and word in complete_hand(word)):
+            words = {each.partition("=")[0] for each in args}
+            far = not words.isdisjoint(("--wait", "--connect")) or bool(os.environ.get(_CONNECT))
+            if word not in complete_running(word) and not (far and word in complete_hand(word)):
                 return args
         # As one word, since a hand's name may begin with a dash like an option.
         return [f"--hand={word}", *args[:place], *args[place + 1 :]]

@@ -17,7 +17,7 @@ from rtee.hand.names import check_name
 from rtee.messages import network_key
 from rtee.messages.requests import ALIVE
 from rtee.remote.directory import Running, running, starting
-from rtee.remote.session import access_path, close_session, open_client
+from rtee.remote.session import TLS, access_path, close_session, open_client
 from rtee.remote.stopping import stop_path
 from rtee.units import longest_wait
 
@@ -123,7 +123,10 @@ async def _elsewhere(hand: str | None, endpoint: str, within: float | None) -> F
     session = await anyio.to_thread.run_sync(open_client, [endpoint], within)
     try:
         names = await anyio.to_thread.run_sync(alive, session)
-        return FoundSession(session, _chosen(hand, names, f"at {endpoint}"), access_path(endpoint))
+        # A router shows nothing to a certificate that it does not know, or that was revoked.
+        blind = endpoint.startswith(TLS) and not names
+        where = f"at {endpoint}" + (" as far as this certificate may see" if blind else "")
+        return FoundSession(session, _chosen(hand, names, where), access_path(endpoint))
     except BaseException:  # cancellation, too, since an open session keeps threads
         close_session(session)
         raise

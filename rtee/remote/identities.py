@@ -134,7 +134,10 @@ class Identities:
         name, token = check_name(request.fields["client"], "client"), request.fields["what"]
         admitted = self._admitted(access_path)
         if admitted is None:
-            raise RequestRejected(f"the certificate '{access_path[:50]}' is not admitted here")
+            raise RequestRejected(
+                f"the certificate '{access_path[:50]}' is not admitted here: it was revoked, or "
+                "this hand's people.json is older than it"
+            )
         if not name.startswith(admitted.prefix):
             raise RequestRejected(
                 f"with this certificate, a client's name must begin with '{admitted.prefix}'"

@@ -380,7 +380,12 @@ class Link:
             # Zenoh drops what a role may not send.
             if text := request.refusal(self.role):
                 return RequestRejected(text)
-            return NoHand(f"the hand '{self.hand}' does not answer")
+            # So it does to a certificate that it did not know when it started.
+            known = self._access_path in (HERE, PLAIN)
+            unsure = (
+                "" if known else f", or does not know the certificate '{self._access_path}' yet"
+            )
+            return NoHand(f"the hand '{self.hand}' does not answer{unsure}")
         match reply["error"]:
             case "LeaseHeld":
                 return LeaseHeld(reply["text"])

@@ -89,6 +89,19 @@ def test_the_first_word_is_the_hand_that_is_waited_for(
     assert "the hand 'schunk_svh' is not running on this computer" in capsys.readouterr().err
 
 
+def test_the_first_word_is_the_hand_elsewhere(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Commands of two words took it for the action, and asked which hand was meant."""
+    monkeypatch.setenv("RTEE_CONNECT", "robot")
+    for words in ("do schunk_svh fist", "recover schunk_svh hand", "log mark schunk_svh x"):
+        monkeypatch.setattr(sys, "argv", ["rtee", *words.split()])
+        with pytest.raises(SystemExit):
+            main()
+        # All words were taken: the next mistake is the endpoint.
+        assert "'robot' is not an endpoint" in capsys.readouterr().err
+
+
 def test_a_hand_that_does_not_answer_is_waited_for_in_words(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -171,6 +171,10 @@ async def test_two_hands_and_three_clients_with_certificates(
         write_together({files[name]: authority.add_client(site, name, role)[1]}, private=True)
     for name in ("left", "right"):
         authority.add_hand(site, name, tmp_path / name)
+    strangers = {name: tmp_path / f"{name}.pem" for name in ("new", "old")}
+    for name, file in strangers.items():
+        authority.write_private(file, authority.add_client(site, name, Role.OPERATOR)[1])
+    authority.revoke(site, "old")
     endpoint = free_endpoint().replace("tcp/", "tls/")
 
     @asynccontextmanager
@@ -194,6 +198,12 @@ async def test_two_hands_and_three_clients_with_certificates(
                 async with behind(endpoint, tmp_path, True, "left"):
                     pass
         await fleet.known()
+        # Certificates that only the router knows yet, or does not know any more.
+        for name, said in (("new", "people.json is older"), ("old", "as this certificate may see")):
+            monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(strangers[name]))
+            with pytest.raises(RemoteError, match=said):
+                async with rtee.connect("left", endpoint=endpoint):
+                    pass
         async with (
             client("ann", "left") as ann,
             client("bob", "right") as bob,
