@@ -294,7 +294,8 @@ def test_an_episode_with_a_short_gap_is_kept_and_the_reason_for_another_told(
     [
         (Choice(fps=0), "1 to 100 frames a second, not 0"),
         (Choice(fps=101), "1 to 100 frames a second, not 101"),
-        (Choice(actions=("Trig two",)), "has no stream with targets for Trig two"),
+        (Choice(actions=("Trig two",)), "has no stream with targets for Trig two; did you mean"),
+        (Choice(actions=("Trig one", "Pinch")), "has no stream with targets for Pinch; valid: "),
         (
             Choice(observe=(ObservedQuantity.EFFORT,)),
             r"effort is not known throughout: second\.effort",

@@ -11,10 +11,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from rtee.errors import LogError, needing_extra
+from rtee.errors import LogError, needing_extra, suggestion
 from rtee.log.brief import check_hands
 from rtee.log.dataset.cameras import CameraTopic, cameras_in
-from rtee.log.dataset.signals import Signal, Times, asked, intensities, observed, sent
+from rtee.log.dataset.signals import (
+    Signal,
+    Times,
+    asked,
+    asked_by_name,
+    intensities,
+    observed,
+    sent,
+)
 from rtee.log.export import replacing
 from rtee.log.file_index import FileIndex, index_file
 from rtee.log.reader import read
@@ -244,8 +252,10 @@ def _shots(recording: Recording, choice: Choice) -> Iterator[_Shot]:
     signals, reference = list(observed(recording, choice.fps)), sent(recording, choice.fps)
     longest = {SENT: reference.longest, STATE: signals[0][1].longest}
     wanted = intensities(recording, choice.actions) if choice.actions else asked(recording)
-    if choice.actions and not np.isfinite(wanted.values).any():
-        raise LogError(f"has no stream with targets for {' or '.join(choice.actions)}", path=path)
+    for name, column in zip(choice.actions, wanted.values.T, strict=False):
+        if not np.isfinite(column).any():
+            hint = suggestion(name, asked_by_name(recording))
+            raise LogError(f"has no stream with targets for {name}; {hint}", path=path)
     for episode in episodes_of(recording, choice.by):
         count = int((episode.end - episode.start) * choice.fps // SECOND) + 1
         when = episode.start + np.arange(count, dtype=np.int64) * SECOND // choice.fps

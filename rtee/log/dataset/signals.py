@@ -181,18 +181,26 @@ def intensities(recording: Recording, actions: Sequence[str]) -> Signal:
         said = {spelled(name): value for name, value in targets.items()}
         return np.array([said.get(spelled(name), math.nan) for name in actions])
 
-    rows = {
-        entry.wall: row(command.targets)
-        for entry in recording.stream_samples
-        if isinstance(command := entry.value.command, StreamSample)
-    }
-    for entry in recording.goals:
-        targets: dict[str, float] = {}
-        match entry.value:
-            case Goal(what=Named(action, elements), to=Intensity(share)):
-                targets = {" ".join((action, *elements)): share}
-        rows[entry.wall] = row(targets)
+    rows = {wall: row(targets) for wall, targets in _targets(recording)}
     return _filled(tuple(actions), rows, _takeovers(recording))
+
+
+def asked_by_name(recording: Recording) -> set[str]:
+    """Return the names that targets of streams and goals have: actions, actuators."""
+    return {name for _, targets in _targets(recording) for name in targets}
+
+
+def _targets(recording: Recording) -> Iterator[tuple[int, Mapping[str, float]]]:
+    """Yield the targets of streams, then of goals, each with its time [ns]."""
+    for entry in recording.stream_samples:
+        if isinstance(command := entry.value.command, StreamSample):
+            yield entry.wall, command.targets
+    for goal in recording.goals:
+        match goal.value:
+            case Goal(what=Named(action, elements), to=Intensity(share)):
+                yield goal.wall, {" ".join((action, *elements)): share}
+            case _:
+                yield goal.wall, {}
 
 
 def spelled(action: str) -> str:
