@@ -24,10 +24,7 @@ from rtee.extract.ranking import FoundPinch, Rank
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Finger, Hand
 from rtee.hand.resting import NEAR, closed_rest
-
-_LARGE: Final = 5.0
-"""Size above which a link's mesh must be in millimetres [m]: no link of a hand is so large."""
-
+from rtee.hand.urdf import LARGE
 
 _MOST_WAYS: Final = 3
 """Most notes about ways that are not clear: each is a long sentence."""
@@ -155,10 +152,15 @@ def _notes(inspector: Inspector, form: Canonical) -> tuple[str, ...]:
         s.link: float(np.ptp(s.box, axis=0).max()) / form.unit for s in inspector.scene.shapes
     }
     largest = max(extents, key=extents.__getitem__, default="")
-    if largest and extents[largest] > _LARGE:
+    if largest and extents[largest] > LARGE:
+        meshes = any(shape.mesh for shape in form.source.urdf.links[largest].collisions)
         notes.append(
-            f"link '{largest}' is {extents[largest]:.3g} m large; meshes drawn in millimetres need "
-            'scale="0.001 0.001 0.001" in the URDF'
+            f"link '{largest}' is {extents[largest]:.3g} m large; "
+            + (
+                'meshes drawn in millimetres need scale="0.001 0.001 0.001" in the URDF'
+                if meshes
+                else "are its sizes in millimetres? URDFs have metres"
+            )
         )
     pairs = inspector.collisions.at_rest
     if pairs:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -34,7 +34,7 @@ from rtee.hand.names import check_name, safe_name
 from rtee.hand.srdf import Srdf, read_srdf
 from rtee.hand.subtree import Subtree, srdf_within
 from rtee.hand.transmission import Transmission, check_mimics, make_transmission
-from rtee.hand.urdf import Urdf, UrdfJoint
+from rtee.hand.urdf import LARGE, Urdf, UrdfJoint
 from rtee.hand.urdfread import Edit, read_urdf
 from rtee.hand.whole_robot import arm_joints
 from rtee.hand.yamlfile import YamlDocument
@@ -283,6 +283,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     }
     transmission = make_transmission(urdf, driven, standing)
     notes += images_outside(joints, specs, transmission)
+    notes += _distance(urdf, [j.name for j in joints if j.role is not JointRole.IGNORED])
     # Fingers are known by what moves them, so the transmission comes first.
     fingers, found = make_fingers(urdf, srdf, _movers(joints, specs, transmission))
     found += _heavy(fingers, urdf)
@@ -340,6 +341,18 @@ def _outside(
     are = "is" if len(apart) == 1 else "are"
     them = "it takes no part and stays" if len(apart) == 1 else "they take no part and stay"
     return apart, [f"{names} {are} {what}: {them} at rest"]
+
+
+def _distance(urdf: Urdf, moving: Iterable[str]) -> list[str]:
+    """Return a note on the joint farthest from its parent link, if it is too far for a hand."""
+    apart = {name: math.hypot(*urdf.joints[name].xyz) for name in moving}
+    name = max(apart, key=apart.__getitem__)
+    if apart[name] <= LARGE:
+        return []
+    return [
+        f"joint '{name}' is {apart[name]:.3g} m from the frame of its parent link; are positions "
+        "in millimetres? URDFs have metres"
+    ]
 
 
 def _heavy(fingers: Sequence[Finger], urdf: Urdf) -> list[str]:

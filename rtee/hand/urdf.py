@@ -15,6 +15,9 @@ Triple = tuple[float, float, float]
 
 ZERO: Final[Triple] = (0.0, 0.0, 0.0)
 
+LARGE: Final = 5.0
+"""Length above which a model must be in millimetres [m]: no part of a hand is so large."""
+
 
 @dataclass(frozen=True, slots=True)
 class UrdfGeometry:

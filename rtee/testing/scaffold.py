@@ -38,7 +38,8 @@ def write_package(name: str, parent: Path) -> list[Path]:
     """
     if not (name.isidentifier() and name.isascii() and name == name.lower()):
         raise ConfigError(
-            f"'{name}' cannot be a driver's name: letters, digits and _ in lower case"
+            f"'{name}' cannot be a driver's name: give letters in lower case, digits and _, and "
+            "no digit first"
         )
     if keyword.iskeyword(name) or name in {"rtee", *sys.stdlib_module_names, *driver_names()}:
         raise ConfigError(f"the name '{name}' is taken")

@@ -132,6 +132,7 @@ def test_a_driver_package_is_written(tmp_path: Path) -> None:
     assert str(tmp_path / "my_gripper" / "my_gripper" / "driver.py") in text
     assert "is not empty" in rtee("new-driver", "my_gripper", "--in", str(tmp_path), status=2)
     assert "is taken" in rtee("new-driver", "json", "--in", str(tmp_path), status=2)
+    assert "no digit first" in rtee("new-driver", "2grip", "--in", str(tmp_path), status=2)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hand.models import GRIPPER
 
 from extract.models import Model, box
 from rtee.actions.types import Primitive
@@ -87,6 +88,14 @@ def test_meshes_without_their_scale_are_noted_and_cost_no_more(
     found = extract(hand)
     assert 'is 105 m large; meshes drawn in millimetres need scale="0.001' in found.notes[0]
     assert {p.name for p in found.primitives} == {"Trig", "PinchTight"}
+
+
+def test_boxes_in_millimetres_are_noted_as_boxes(tmp_path: Path) -> None:
+    """They were said to be meshes that lack a scale."""
+    file = tmp_path / "gripper.urdf"
+    file.write_text(GRIPPER.replace('"0.01 0.02 0.06"', '"10 20 60"'))
+    notes = extract(load_model(file)).notes
+    assert "link 'left_jaw' is 60 m large; are its sizes in millimetres? URDFs have metres" in notes
 
 
 def test_links_in_the_way_are_named_with_what_to_do() -> None:

@@ -67,6 +67,13 @@ def test_limits_in_degrees_are_noticed(load: Load) -> None:
     assert not [note for note in load().notes if "turns" in note]
 
 
+def test_positions_in_millimetres_are_noticed(load: Load) -> None:
+    (note,) = load(changed('xyz="-0.04 0 0.01"', 'xyz="-40 0 10"')).notes
+    assert note.startswith(
+        "joint 'left' is 41.2 m from the frame of its parent link; are positions"
+    )
+
+
 def test_limits_in_millimetres_are_noticed(load: Load) -> None:
     def sliding(upper: str) -> list[str]:
         limits = LIMIT.replace('upper="0.8"', f'upper="{upper}"')
