@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rtee.remote.blocking import connect_blocking as connect_blocking
     from rtee.remote.client import RemoteHand as RemoteHand
     from rtee.remote.client import connect as connect
-    from rtee.remote.find import hands_running as hands_running
+    from rtee.remote.directory import hands_running as hands_running
     from rtee.remote.goal import RunningGoal as RunningGoal
     from rtee.remote.goal_values import action_goal as action_goal
     from rtee.remote.goal_values import grasp_goal as grasp_goal
@@ -76,7 +76,7 @@ _NAMES = {
     "rtee.planning.result": "Ranking",
     "rtee.remote.blocking": "BlockingGoal BlockingHand BlockingStream connect_blocking",
     "rtee.remote.client": "RemoteHand connect",
-    "rtee.remote.find": "hands_running",
+    "rtee.remote.directory": "hands_running",
     "rtee.remote.goal_values": "action_goal grasp_goal touch_goal",
     "rtee.remote.hand_info": "HandInfo",
     "rtee.remote.monitoring": "HandStatus",

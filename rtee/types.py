@@ -12,7 +12,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -335,6 +335,9 @@ class Outcome(StrEnum):
     ABORTED = "aborted"
     """The goal could not continue; `Result.reason` says why."""
 
+
+EARLY: Final = (Outcome.ABORTED, Outcome.CANCELLED, Outcome.PREEMPTED, Outcome.TIMED_OUT)
+"""Outcomes of goals that ended early, which say nothing about an object."""
 
 _SUCCESS = frozenset({Outcome.HELD, Outcome.TOUCHED, Outcome.REACHED, Outcome.CLOSED})
 
@@ -665,7 +668,7 @@ class Result(Value):
     @property
     def outcome(self) -> Outcome:
         """Outcome of the goal; the reason for an early end takes precedence over its findings."""
-        for early in (Outcome.ABORTED, Outcome.CANCELLED, Outcome.PREEMPTED, Outcome.TIMED_OUT):
+        for early in EARLY:
             if getattr(self, early):
                 return early
         if self.unknown:

@@ -90,10 +90,10 @@ def _chosen_hand(ctx: typer.Context) -> str | None:
 
 def complete_running(incomplete: str) -> list[str]:
     """Return the hands on this computer, running or just starting, that begin with the text."""
-    from rtee.remote.directory import running, starting
+    from rtee.remote.directory import hands_running, starting
 
     try:
-        return [name for name in (*running(), *starting()) if name.startswith(incomplete)]
+        return [name for name in (*hands_running(), *starting()) if name.startswith(incomplete)]
     except (RteeError, OSError):
         return []
 

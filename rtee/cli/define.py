@@ -175,10 +175,10 @@ def _description(library: ActionLibrary, name: str) -> str:
 
 def _reload_running(hand: str, action: str) -> None:
     """Make a running hand reload its actions, which it does whenever they are requested."""
-    from rtee.remote.directory import running
+    from rtee.remote.directory import hands_running
 
     try:
-        if hand not in running():
+        if hand not in hands_running():
             return
 
         # Its own list decides, since a hand of this name may run from another folder.

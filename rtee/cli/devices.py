@@ -230,13 +230,13 @@ def _first_contact(specs: list[DeviceSpec], out: Path | None) -> int:
 def _running(hand: str) -> str | None:
     """Return the name of a hand if it runs on this computer."""
     from rtee.hand.load import load_configured
-    from rtee.remote.directory import running
+    from rtee.remote.directory import hands_running
 
     try:
         name = load_configured(hand)[1].name
     except RteeError:  # the model check reports the error
         return None
-    return name if name in running() else None
+    return name if name in hands_running() else None
 
 
 async def _asked(name: str, only: str | None) -> dict[str, list[Check]]:

@@ -46,7 +46,7 @@ def gui(
     tls = None if tls_cert is None or tls_key is None else tls_context(tls_cert, tls_key)
     access = Access(host, tls=tls, behind=behind_proxy, observers=observer)
     lower_priority()  # before numpy and the network start threads, which inherit it
-    from rtee.remote.find import hands_running
+    from rtee.remote.directory import hands_running
 
     several = hand is None and len(_names(endpoint)) > 1
     if hand is not None or (endpoint is not None and not several):
@@ -67,7 +67,8 @@ def gui(
 
 def _names(endpoint: str | None) -> Collection[str]:
     """Return the hands that run here, or at an endpoint."""
-    from rtee.remote.find import alive, hands_running
+    from rtee.remote.directory import hands_running
+    from rtee.remote.find import alive
     from rtee.remote.session import close_session, open_client
 
     if endpoint is None:

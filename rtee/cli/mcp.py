@@ -65,7 +65,7 @@ def mcp(
         from rtee.agent.tools import serve
     from rtee.agent.agent import Agent
     from rtee.remote.agent_limits import AgentLimits
-    from rtee.remote.find import hands_running
+    from rtee.remote.directory import hands_running
 
     asked = AgentSettings(gate, force, effort, speed, tuple(action or ()))
     if not (names := hands or list(hands_running())):

@@ -110,12 +110,13 @@ def _shown(hand: str, given: Mapping[str, object], endpoint: str | None) -> Show
     """Return a hand with its settings; options take precedence over those in hand.yaml."""
     from rtee.hand.config_schema import Ros2Settings
     from rtee.hand.load import load_configured
+    from rtee.remote.directory import hands_running
     from rtee.ros2.serving import Shown
     from rtee.ros2.session import overridden
 
     # A hand that runs elsewhere may be unknown here; its description comes over the network.
     if not Path(hand).exists() and hand not in hand_names():
-        if endpoint is None and hand not in _running():
+        if endpoint is None and hand not in hands_running():
             raise ConfigError(f"there is no hand '{hand}': neither configured nor running here")
         settings = overridden(Ros2Settings(), given)
         return Shown(check_name(hand, "hand"), settings, endpoint=endpoint)
@@ -128,12 +129,6 @@ def _shown(hand: str, given: Mapping[str, object], endpoint: str | None) -> Show
         config.thermal,
         endpoint,
     )
-
-
-def _running() -> set[str]:
-    from rtee.remote.find import hands_running
-
-    return set(hands_running())
 
 
 NODE = "rtee_cli"

@@ -14,7 +14,6 @@ from rtee.cli._common import ConnectOption, JsonOption, RunningOption, to_json, 
 from rtee.cli._fleet import ConnectOptions, WatchOption, show_fleet
 from rtee.cli._table import Column, on_terminal, table_of
 from rtee.errors import ConfigError, suggestion
-from rtee.types import Lifecycle
 
 if TYPE_CHECKING:
     from rtee.commands import StreamStatus
@@ -39,7 +38,7 @@ def status(
     Arguments and options:
         every (--all): Show all hands as a table, even if only one runs.
     """
-    from rtee.remote.find import hands_running
+    from rtee.remote.directory import hands_running
 
     endpoints = connect or []
     several = len(endpoints) > 1 or (not endpoints and len(hands_running()) > 1)
@@ -70,12 +69,9 @@ def _show(hand_status: HandStatus) -> None:
     print(f"log:      {'; '.join(filter(None, recording)) or 'off'}")
     print(f"profile:  {hand_status.profile}\n")
     _show_devices(hand_status.devices)
-    idle = [
-        device.name for device in hand_status.devices if device.lifecycle is not Lifecycle.ACTIVE
-    ]
-    if idle:
+    if idle := hand_status.inactive:
         print(
-            f"\nnot active: {', '.join(idle)}; bring them back with: "
+            f"\nnot active: {', '.join(device.name for device in idle)}; bring them back with: "
             f"rtee recover --hand {hand_status.hand}"
         )
 

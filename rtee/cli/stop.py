@@ -25,7 +25,7 @@ def stop(
     import anyio
 
     from rtee.remote.client import stop_hand
-    from rtee.remote.find import hands_running
+    from rtee.remote.directory import hands_running
 
     names: list[str | None] = [hand]
     if hand is None and connect is None:

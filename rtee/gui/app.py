@@ -32,7 +32,7 @@ from rtee.gui.watch import AGAIN, Watch, first_message
 from rtee.gui.wording import coloured, small
 from rtee.loop.memory import give_memory_back
 from rtee.remote.client import connect, stop_hand
-from rtee.remote.find import hands_running
+from rtee.remote.directory import hands_running
 from rtee.remote.fleet import Fleet, HandAddress, Look, following
 from rtee.remote.truth import Tone, Truth, Words, clock
 

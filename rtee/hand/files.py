@@ -19,6 +19,10 @@ MAX_SIZE: Final = 64_000_000
 """Size of the largest file that is read [byte]: more than any mesh or model of a hand needs."""
 
 
+NO_LINKS: Final = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+"""Flags for opening files: no links are followed, and a named pipe does not block."""
+
+
 def write_atomically(path: Path | str, data: str | bytes) -> None:
     """Write a file so that a reader sees the old content or the new one, never a part.
 
@@ -285,9 +289,7 @@ def files_below(folder: Path) -> Iterator[tuple[Path, bytes]]:
 def _regular(path: Path, folder: int, owner: int) -> bytes | None:
     """Return the content of a file in an open folder; ``None`` if it is not a regular file."""
     try:
-        # Without blocking, since a named pipe may have taken the file's place.
-        flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-        descriptor = os.open(path.name, flags, dir_fd=folder)
+        descriptor = os.open(path.name, os.O_RDONLY | NO_LINKS, dir_fd=folder)
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.ENXIO, errno.EMLINK):  # a link, or a socket
             return None

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Final
 
 from rtee.messages.schema import MessageType, message_type
 from rtee.messages.topics import PREFIX
@@ -110,6 +111,10 @@ class Request:
             return ""
         least, given = self.role.name.lower(), role.name.lower()
         return f"'{self.name}' needs the role {least}; this client has the role {given}"
+
+
+REPLY: Final = message_type("rtee_msgs/msg/Reply")
+"""The answer to most commands, and every refusal."""
 
 
 def _request(

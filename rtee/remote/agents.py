@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from rtee.errors import RequestRejected, foreign
-from rtee.hand.files import reason
+from rtee.hand.files import NO_LINKS, reason
 
 log = logging.getLogger(__name__)
 
@@ -20,8 +20,6 @@ _SUFFIX: Final = ".agents-out"
 
 _LONGEST: Final = 200
 """Longest reason that is kept [characters]: names of clients are shorter than 100."""
-
-_FLAGS: Final = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 
 
 def is_agent(client: str) -> bool:
@@ -70,7 +68,7 @@ class Agents:
         if not out or self._kept:
             return
         try:
-            flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | _FLAGS
+            flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | NO_LINKS
             descriptor = os.open(self._file, flags, 0o600)
             with os.fdopen(descriptor, "w", encoding="utf-8") as file:
                 file.write(out)
@@ -107,7 +105,7 @@ class Agents:
 
     def _read(self) -> str:
         try:
-            descriptor = os.open(self._file, os.O_RDONLY | _FLAGS)
+            descriptor = os.open(self._file, os.O_RDONLY | NO_LINKS)
         except FileNotFoundError:
             return ""
         except OSError:  # any content means that they are locked out

@@ -20,10 +20,10 @@ from rtee.loop.handloop import HandLoop
 from rtee.messages import GOAL
 from rtee.messages.codec import paired
 from rtee.messages.convert import STREAM_TARGETS
-from rtee.messages.requests import SAMPLE
+from rtee.messages.requests import REPLY, SAMPLE
 from rtee.remote.agents import Agents
 from rtee.remote.call_queue import LoopThread
-from rtee.remote.incoming_request import REPLY, IncomingRequest, accepted
+from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.lease import Lease
 from rtee.remote.stopping import Stopped
 from rtee.types import Event, Goal
@@ -264,6 +264,4 @@ class CommandHandlers:
 
 
 def _values(fields: Fields) -> dict[str, float]:
-    if len(fields["name"]) != len(fields["value"]):
-        raise GoalRejected("there must be as many names as values")
-    return dict(zip(fields["name"], fields["value"].tolist(), strict=True))
+    return paired("value", fields["name"], fields["value"].tolist())

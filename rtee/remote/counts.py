@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sized
+from collections.abc import Callable, Sized
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -53,17 +53,16 @@ def counts_of(message: dict[str, Any]) -> Counts:
     return Counts(**(message | held))
 
 
-class Counting:
-    """Returns a hand's counts, see `Counts`, as the fields of a message; any thread may call it."""
+def counting(loop: HandLoop, clients: Sized, tally: Tally) -> Callable[[], dict[str, Any]]:
+    """Return a function that returns a hand's `Counts` as the fields of a ``rtee_msgs/Counts``.
 
-    def __init__(self, loop: HandLoop, clients: Sized, tally: Tally) -> None:
-        self._loop, self._clients, self._tally = loop, clients, tally
-        self._version = _version()
+    Any thread may call it.
+    """
+    version = _version()
 
-    def __call__(self) -> dict[str, Any]:
-        """Return the fields of a ``rtee_msgs/Counts``."""
-        tally, clock = self._tally, self._loop.clock_statistics
-        fields = asdict(Counts(self._version, len(self._clients), tally.stops, tally.last))
+    def counts() -> dict[str, Any]:
+        clock = loop.clock_statistics
+        fields = asdict(Counts(version, len(clients), tally.stops, tally.last))
         if clock is not None:
             fields |= {
                 "bound": _BOUNDS,
@@ -74,6 +73,8 @@ class Counting:
             }
         ends = dict(tally.ends)
         return fields | {"outcome": list(ends), "goals": list(ends.values())}
+
+    return counts
 
 
 def _version() -> str:

@@ -8,12 +8,12 @@ the common names of later certificates when a hand starts.
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import json
 import os
 import re
 import stat
+from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -220,27 +220,27 @@ def check_private(path: Path) -> None:
         )
 
 
-def router_link(certificates: Mapping[str, str]) -> dict[str, Any]:
-    """Return Zenoh's settings for connecting to a router with the files of `Credentials.files`."""
+def _tls(certificates: Mapping[str, str], side: str, form: str = "") -> dict[str, Any]:
+    """Return Zenoh's settings to ``connect`` or ``listen`` with certificates: files, or a form."""
     return {
-        f"{_TLS}root_ca_certificate": certificates["authority"],
-        f"{_TLS}connect_private_key": certificates["key"],
-        f"{_TLS}connect_certificate": certificates["certificate"],
+        f"{_TLS}root_ca_certificate{form}": certificates["authority"],
+        f"{_TLS}{side}_private_key{form}": certificates["key"],
+        f"{_TLS}{side}_certificate{form}": certificates["certificate"],
         f"{_TLS}enable_mtls": True,
-        # As for clients: the authority has made a single server certificate.
+        # The hand's own authority has made a single server certificate, which is valid at any
+        # address of the hand or the router.
         f"{_TLS}verify_name_on_connect": False,
     }
 
 
+def router_link(certificates: Mapping[str, str]) -> dict[str, Any]:
+    """Return Zenoh's settings for connecting to a router with the files of `Credentials.files`."""
+    return _tls(certificates, "connect")
+
+
 def router_certificates(certificates: Mapping[str, str]) -> dict[str, Any]:
     """Return Zenoh's settings for a router with the files of `Credentials.files`."""
-    return {
-        f"{_TLS}root_ca_certificate": certificates["authority"],
-        f"{_TLS}listen_private_key": certificates["key"],
-        f"{_TLS}listen_certificate": certificates["certificate"],
-        f"{_TLS}enable_mtls": True,
-        f"{_TLS}close_link_on_expiration": True,
-    }
+    return _tls(certificates, "listen") | {f"{_TLS}close_link_on_expiration": True}
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,19 +255,8 @@ class Identity:
 
     def settings(self) -> dict[str, Any]:
         """Return Zenoh's settings for connecting with this certificate."""
-        return {
-            f"{_TLS}root_ca_certificate_base64": _base64(self.blocks["authority"]),
-            f"{_TLS}connect_private_key_base64": _base64(self.blocks["key"]),
-            f"{_TLS}connect_certificate_base64": _base64(self.blocks["certificate"]),
-            f"{_TLS}enable_mtls": True,
-            # The hand's own authority has made a single server certificate, which is valid at any
-            # address of the hand.
-            f"{_TLS}verify_name_on_connect": False,
-        }
-
-
-def _base64(text: str) -> str:
-    return base64.b64encode(text.encode()).decode()
+        inline = {name: b64encode(pem.encode()).decode() for name, pem in self.blocks.items()}
+        return _tls(inline, "connect", "_base64")
 
 
 def identity() -> Identity:

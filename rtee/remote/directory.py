@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rtee.errors import ConfigError
-from rtee.hand.files import failing, is_trusted, reason
+from rtee.hand.files import NO_LINKS, failing, is_trusted, reason
 from rtee.hand.names import check_name
 from rtee.values import Value
 
@@ -55,9 +55,6 @@ a hand at once."""
 
 _HAND, _STARTS = ".json", ".starts"
 """Suffixes of the files of hands, and of processes that are about to run hands."""
-
-_OPEN = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
-"""Flags for opening files: no links are followed, and a named pipe does not block."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +95,7 @@ def _own_folder(*, make: bool) -> int | None:
     try:
         if make:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | _OPEN)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | NO_LINKS)
         # Checks the open folder, not its path, which somebody could replace in between.
         if is_trusted(os.fstat(descriptor), os.getuid()):
             return descriptor
@@ -133,7 +130,7 @@ def _services() -> int | None:
     Its owner can be trusted, since only root can make it in ``/run``.
     """
     try:
-        descriptor = os.open(SERVICES, os.O_RDONLY | os.O_DIRECTORY | _OPEN)
+        descriptor = os.open(SERVICES, os.O_RDONLY | os.O_DIRECTORY | NO_LINKS)
     except OSError:
         return None
     if os.fstat(descriptor).st_mode & stat.S_IWOTH:
@@ -244,7 +241,7 @@ def about_to_run(hands: Sequence[str]) -> Iterator[None]:
                     if name.endswith(_STARTS) and _entry(folder, name) is None:
                         os.unlink(name, dir_fd=folder)
                 name = f"{os.getpid()}{_STARTS}"
-                descriptor = os.open(name, os.O_RDWR | os.O_CREAT | _OPEN, 0o640, dir_fd=folder)
+                descriptor = os.open(name, os.O_RDWR | os.O_CREAT | NO_LINKS, 0o640, dir_fd=folder)
                 stack.callback(os.close, descriptor)
                 _lock(descriptor, fcntl.LOCK_EX)
                 os.pwrite(descriptor, json.dumps({"hands": list(hands)}).encode(), 0)
@@ -306,7 +303,7 @@ def peer_of(link: socket.socket) -> tuple[int, int]:
 def _locked(path: Path, hand: str) -> int:
     for _ in range(_ATTEMPTS):
         with failing("cannot be written", path):
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | _OPEN, 0o640)
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | NO_LINKS, 0o640)
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode) or not is_trusted(status, os.getuid()):
             os.close(descriptor)
@@ -318,7 +315,7 @@ def _locked(path: Path, hand: str) -> int:
         time.sleep(_PAUSE)  # another process may just be checking whether the hand runs
     pid = "unknown"
     with contextlib.suppress(OSError):
-        descriptor = os.open(path, os.O_RDONLY | _OPEN)
+        descriptor = os.open(path, os.O_RDONLY | NO_LINKS)
         pid = str(_read(descriptor).get("pid", pid))
         os.close(descriptor)
     raise ConfigError(f"the hand '{hand}' is already running, in process {pid}")
@@ -350,7 +347,7 @@ def _read(descriptor: int) -> dict[str, object]:
 def _entry(folder: int, name: str) -> dict[str, object] | None:
     """Return what a living process has written to a file, ``None`` if its process has ended."""
     try:
-        descriptor = os.open(name, os.O_RDONLY | _OPEN, dir_fd=folder)
+        descriptor = os.open(name, os.O_RDONLY | NO_LINKS, dir_fd=folder)
     except OSError:
         return None
     try:
@@ -365,7 +362,7 @@ def _entry(folder: int, name: str) -> dict[str, object] | None:
         os.close(descriptor)
 
 
-def running() -> dict[str, Running]:
+def hands_running() -> dict[str, Running]:
     """Return the hands of this user and of services that run on this computer, by name.
 
     Raises `ConfigError` if others can write to this user's folder.

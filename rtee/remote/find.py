@@ -16,7 +16,7 @@ from rtee.errors import ConfigError, NoHand, suggestion
 from rtee.hand.names import check_name
 from rtee.messages import network_key
 from rtee.messages.requests import ALIVE
-from rtee.remote.directory import Running, running, starting
+from rtee.remote.directory import Running, hands_running, starting
 from rtee.remote.session import TLS, access_path, close_session, open_client
 from rtee.remote.stopping import stop_path
 from rtee.units import longest_wait
@@ -47,11 +47,6 @@ class FoundSession(NamedTuple):
     hand: str
     access_path: str
     stops: Path | None = None
-
-
-def hands_running() -> dict[str, Running]:
-    """Return the hands that run on this computer, by name."""
-    return running()
 
 
 async def open_hand(
@@ -102,7 +97,7 @@ def _starts(hand: str | None) -> bool:
 
 def chosen_here(hand: str | None) -> Running:
     """Return a hand that runs on this computer; raises the errors of `open_hand`."""
-    hands = running()
+    hands = hands_running()
     return hands[_chosen(hand, hands, "on this computer")]
 
 

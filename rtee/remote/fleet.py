@@ -20,8 +20,8 @@ from anyio.abc import TaskGroup
 from rtee.errors import NoHand, RteeError
 from rtee.messages.requests import WATCHES
 from rtee.messages.state import State
-from rtee.remote.directory import Running
-from rtee.remote.find import FoundSession, alive, hands_running, open_here
+from rtee.remote.directory import Running, hands_running
+from rtee.remote.find import FoundSession, alive, open_here
 from rtee.remote.link import introduced
 from rtee.remote.monitoring import HandStatus, Monitoring
 from rtee.remote.session import access_path, close_session, open_client
@@ -67,11 +67,7 @@ class Look:
     @property
     def idle(self) -> Sequence[DeviceStatus]:
         """The devices that are not active, those with a fault first."""
-        idle = (
-            [d for d in self.status.devices if d.lifecycle != Lifecycle.ACTIVE]
-            if self.status
-            else []
-        )
+        idle = self.status.inactive if self.status else []
         return sorted(idle, key=lambda device: device.lifecycle is not Lifecycle.FAULT)
 
     @property

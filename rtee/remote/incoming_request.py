@@ -20,7 +20,7 @@ from rtee.errors import (
 )
 from rtee.messages import network_key
 from rtee.messages.identity import LONGEST_CLAIM
-from rtee.messages.requests import HELLO, INBOX, REQUESTS, Request
+from rtee.messages.requests import HELLO, INBOX, REPLY, REQUESTS, Request
 from rtee.messages.schema import message_type
 from rtee.remote.rates import Ignored
 
@@ -35,7 +35,6 @@ _NAMES = {
 }
 """The names of each group's requests, for messages; joined once, since junk must cost little."""
 
-REPLY = message_type("rtee_msgs/msg/Reply")
 _EMPTY = message_type("rtee_msgs/msg/Empty")
 
 Send = Callable[[bytes, bool], object]

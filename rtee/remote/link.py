@@ -37,6 +37,7 @@ from rtee.messages.requests import (
     HELLO,
     HERE,
     PLAIN,
+    REPLY,
     REQUESTS,
     SAMPLE,
     STOP,
@@ -45,7 +46,6 @@ from rtee.messages.requests import (
     inbox_key,
     topic_for,
 )
-from rtee.messages.schema import message_type
 from rtee.remote.connections import vouching
 from rtee.remote.credentials import common_name, person
 from rtee.remote.rates import Rates
@@ -53,8 +53,6 @@ from rtee.remote.session import EXPRESS, direct
 
 _CONNECT_WITHIN = 5.0
 """Time within which the hand must subscribe to samples [s]: as long as for an answer."""
-
-_REPLY = message_type("rtee_msgs/msg/Reply")
 
 ANSWER_WITHIN = 5.0
 """Default time to wait for an answer [s]: far longer than any request takes on a busy computer."""
@@ -373,7 +371,7 @@ class Link:
     def _refusal(self, request: Request, data: bytes) -> RemoteError:
         """Return the error of a refusal; empty data mean that there was no answer."""
         try:
-            reply = _REPLY.decode(data)
+            reply = REPLY.decode(data)
         except MessageError:
             if self.gone:
                 return self.lost()

@@ -76,6 +76,11 @@ class HandStatus(Value):
     agents_out: str = ""
     counts: Counts = field(default_factory=Counts)
 
+    @property
+    def inactive(self) -> list[DeviceStatus]:
+        """The devices that do not follow references."""
+        return [each for each in self.devices if each.lifecycle is not Lifecycle.ACTIVE]
+
 
 class CollectedStates:
     """States that have arrived since the last `drain`."""
@@ -292,7 +297,7 @@ class Monitoring:
                     raise self._link.lost()
                 status = await self.status()
                 ticks = status.statistics.ticks
-                troubles = [d.trouble for d in status.devices if d.lifecycle != Lifecycle.ACTIVE]
+                troubles = [device.trouble for device in status.inactive]
                 if not troubles and ticks > active_at:
                     return
                 # The loop detects an active device at its next tick.

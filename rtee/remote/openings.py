@@ -15,6 +15,7 @@ from rtee.actions.types import Action
 from rtee.loop.devices import device_forces
 from rtee.loop.forces import DeviceForces, unlimited
 from rtee.loop.grip import Grip
+from rtee.loop.plan import targets_of
 from rtee.loop.supervisor import Supervisor
 from rtee.remote.hand_info import HandInfo
 from rtee.sample import FloatArray
@@ -150,8 +151,8 @@ def opening_fields(library: ActionLibrary, devices: Iterable[Supervisor]) -> dic
 def _fields(
     library: ActionLibrary, action: Action, opening: OpeningTable, forces: DeviceForces
 ) -> dict[str, Any]:
-    hand, last = library.hand, action.waypoints[-1]
-    targets = {hand.actuator_index(name): last.position[name] for name in last.involved}
+    hand = library.hand
+    targets = targets_of(action.waypoints[-1], hand)
     empty = meeting(action, opening, library, library.openings)
     grip = Grip.of(hand, opening, targets, forces.grips, empty)
     reason = unlimited(hand, opening, grip, grip.intensity[0], forces)

@@ -46,7 +46,7 @@ from rtee.remote.agents import Agents
 from rtee.remote.call_queue import CallQueue, DelayQueue, LoopThread
 from rtee.remote.command_handlers import CommandHandlers
 from rtee.remote.connections import Connections
-from rtee.remote.counts import Counting
+from rtee.remote.counts import counting
 from rtee.remote.directory import HandLock, claimed
 from rtee.remote.door import Door
 from rtee.remote.goal_records import GoalRecords
@@ -387,7 +387,7 @@ class Server:
                 streams,
                 recording,
                 profile,
-                Counting(loop, identities, tally),
+                counting(loop, identities, tally),
             )
             server = cls(hand.name, endpoint, session, identities, commands, queries)
             stack.push_async_callback(in_thread, server.close)

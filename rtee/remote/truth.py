@@ -16,7 +16,7 @@ import numpy as np
 from rtee import monotonic
 from rtee.messages.state import State
 from rtee.remote.monitoring import HandStatus
-from rtee.types import DeviceStatus, Event, Lifecycle, Outcome, Result
+from rtee.types import EARLY, DeviceStatus, Event, Outcome, Result
 
 STALE_AFTER: Final = 1.0
 """Age at which the newest state is out of date [s]: a hundred states late."""
@@ -151,11 +151,10 @@ class Truth:
         self._over = result.goal_id
         self._turn(result.action, result.goal_id)
         self._doubted = result.unknown
-        early = (Outcome.ABORTED, Outcome.CANCELLED, Outcome.PREEMPTED, Outcome.TIMED_OUT)
         if result.grasped:
             self._fingers = result.grasped_fingers
             self._conclude(HeldObject.HOLDING)
-        elif result.unknown or result.outcome in (*early, Outcome.TOUCHED):
+        elif result.unknown or result.outcome in (*EARLY, Outcome.TOUCHED):
             self._conclude(HeldObject.UNKNOWN)
         else:
             self._conclude(HeldObject.EMPTY)
@@ -231,8 +230,7 @@ class Truth:
     @property
     def ill(self) -> Sequence[DeviceStatus]:
         """The devices that do not follow references."""
-        devices = () if self.status is None else self.status.devices
-        return [device for device in devices if device.lifecycle is not Lifecycle.ACTIVE]
+        return () if self.status is None else self.status.inactive
 
     @property
     def homing(self) -> bool:

@@ -20,7 +20,7 @@ from rtee.errors import ConfigError, NoHand, RteeError
 from rtee.hand.load import load_configured
 from rtee.remote.blocking import BlockingHand, opened
 from rtee.remote.client import RemoteHand
-from rtee.remote.directory import VARIABLE, running
+from rtee.remote.directory import VARIABLE, hands_running
 from rtee.testing import bench
 from rtee.testing.bench import Bench, EmulatedDevices
 
@@ -101,7 +101,7 @@ def running_hand(
         RteeError: if the hand does not start or fails; with the last line of its output.
     """
     config = load_configured(hand)[1]
-    if (other := running().get(config.name)) is not None:
+    if (other := hands_running().get(config.name)) is not None:
         raise ConfigError(
             f"the hand '{config.name}' is already running, in process {other.pid}, and a test must "
             "not"
@@ -168,7 +168,7 @@ def _connected(
 
 def _endpoint(name: str, process: subprocess.Popen[bytes]) -> str:
     """Return the endpoint of the hand that a process runs; raises `NoHand` until it does."""
-    found = running().get(name)
+    found = hands_running().get(name)
     # Compare the process: another hand of this name may have started at the same moment.
     if found is None or found.pid != process.pid or not found.endpoints:
         raise NoHand(f"the hand '{name}' is not running yet")

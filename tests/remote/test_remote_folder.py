@@ -20,7 +20,7 @@ import pytest
 
 from rtee.errors import ConfigError, NoHand
 from rtee.remote import directory, find
-from rtee.remote.directory import about_to_run, claimed, running, starting
+from rtee.remote.directory import about_to_run, claimed, hands_running, starting
 
 from .serving import announced, until
 
@@ -97,7 +97,7 @@ def test_clients_use_no_folder_that_another_user_has_made(everybodys: Path) -> N
     end = keep_locked(trap / "svh.json")
     try:
         with pytest.raises(ConfigError, match="only you can write to"):
-            running()
+            hands_running()
     finally:
         end.set()
 
@@ -109,9 +109,9 @@ def test_clients_use_no_file_that_another_user_has_made(runtime: Path) -> None:
         path.write_text(ENTRY)
         end = keep_locked(path)
         try:
-            assert set(running()) == {"gripper", "svh"}
+            assert set(hands_running()) == {"gripper", "svh"}
             os.chown(path, NOBODY, NOBODY)
-            assert set(running()) == {"gripper"}
+            assert set(hands_running()) == {"gripper"}
             with pytest.raises(ConfigError, match="only you can write to"), announced("svh", []):
                 pass
         finally:
@@ -123,13 +123,13 @@ def test_clients_use_no_folder_that_others_may_write_to(runtime: Path, mode: int
     runtime.mkdir()
     runtime.chmod(mode)
     with pytest.raises(ConfigError, match="only you can write to"):
-        running()
+        hands_running()
 
 
 def test_clients_use_no_file_that_others_may_write_to(runtime: Path) -> None:
     with announced("svh", ["a"]) as path:
         path.chmod(0o666)
-        assert running() == {}
+        assert hands_running() == {}
 
 
 def test_clients_follow_no_links(runtime: Path, tmp_path: Path) -> None:
@@ -137,13 +137,13 @@ def test_clients_follow_no_links(runtime: Path, tmp_path: Path) -> None:
         runtime.rename(tmp_path / "moved")
         runtime.symlink_to(tmp_path / "moved")
         with pytest.raises(ConfigError, match="only you can write to"):
-            running()
+            hands_running()
 
 
 def test_a_named_pipe_keeps_nobody_waiting(runtime: Path) -> None:
     runtime.mkdir(mode=0o700)
     os.mkfifo(runtime / "svh.json", 0o600)
-    assert running() == {}
+    assert hands_running() == {}
     with pytest.raises(ConfigError, match="must be a file"), announced("svh", []):
         pass
 
@@ -157,9 +157,9 @@ def test_services_in_a_folder_of_everybody_do_not_count(
     with announced("svh", ["a"]):
         monkeypatch.delenv(directory.VARIABLE)
         monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "own"))
-        assert set(running()) == {"svh"}
+        assert set(hands_running()) == {"svh"}
         services.chmod(0o777)
-        assert running() == {}
+        assert hands_running() == {}
 
 
 # --- cleaners of temporary files
@@ -186,11 +186,11 @@ def test_a_hand_runs_once_though_its_file_was_removed(
             )
             with refused, claimed("svh"):
                 pass
-            while "svh" not in running():
+            while "svh" not in hands_running():
                 time.sleep(0.05)
-            assert running()["svh"].endpoints == ("tcp/127.0.0.1:1",)
+            assert hands_running()["svh"].endpoints == ("tcp/127.0.0.1:1",)
         assert stat.S_IMODE(place.path.stat().st_mode) == 0o640
-    assert running() == {}
+    assert hands_running() == {}
     with claimed("svh"):
         pass
 
@@ -201,7 +201,7 @@ async def test_a_client_waits_for_a_hand_that_starts(
     runtime: Path, name: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looked: list[str] = []
-    monkeypatch.setattr(find, "running", lambda: looked.append("") or running())
+    monkeypatch.setattr(find, "hands_running", lambda: looked.append("") or hands_running())
     with claimed("svh"):
         opening = asyncio.ensure_future(find.open_hand(name, None, 0.0))
         await until(lambda: len(looked) > 1 or opening.done())
@@ -303,7 +303,7 @@ def test_a_name_that_another_user_keeps_prevents_nothing(
     try:
         assert ready.wait(300)
         with announced("svh", ["a"]):
-            assert set(running()) == {"svh"}
+            assert set(hands_running()) == {"svh"}
     finally:
         end.set()
         process.join()

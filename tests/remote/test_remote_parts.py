@@ -29,7 +29,7 @@ from rtee.messages.schema import message_type
 from rtee.remote import directory
 from rtee.remote.actions import action_fields, action_of
 from rtee.remote.call_queue import CallQueue, LoopThread
-from rtee.remote.directory import running, runtime_folder
+from rtee.remote.directory import hands_running, runtime_folder
 from rtee.remote.hand_info import info_fields, info_of
 from rtee.remote.identities import Identities
 from rtee.remote.incoming_request import IncomingRequest
@@ -135,14 +135,14 @@ def test_who_is_gone_holds_nothing(lease: Lease, how: str) -> None:
 
 
 def test_announced_hands_are_found(runtime: Path) -> None:
-    assert running() == {}
+    assert hands_running() == {}
     with announced("svh", ["tcp/127.0.0.1:1"]), announced("left.2", ["a", "b"]):
-        found = running()
+        found = hands_running()
         assert list(found) == ["left.2", "svh"]
         assert found["svh"].endpoints == ("tcp/127.0.0.1:1",)
         assert found["svh"].pid == os.getpid()
         assert runtime.stat().st_mode & 0o777 == 0o700
-    assert running() == {}
+    assert hands_running() == {}
     assert list(runtime.iterdir()) == []
 
 
@@ -153,15 +153,15 @@ def test_a_hand_is_announced_once(runtime: Path) -> None:
         )
         with twice, announced("svh", ["b"]):
             pass
-        assert running()["svh"].endpoints == ("a",)
+        assert hands_running()["svh"].endpoints == ("a",)
 
 
 def test_files_of_killed_processes_count_for_nothing(runtime: Path) -> None:
     runtime.mkdir(mode=0o700)
     (runtime / "svh.json").write_text(json.dumps({"pid": 1, "endpoints": ["a"]}))
-    assert running() == {}
+    assert hands_running() == {}
     with announced("svh", ["b"]):
-        assert running()["svh"].endpoints == ("b",)
+        assert hands_running()["svh"].endpoints == ("b",)
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_other_files_count_for_nothing(runtime: Path, text: str) -> None:
     path.write_text(text, encoding="latin-1")
     with path.open() as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        assert running() == {}
+        assert hands_running() == {}
 
 
 def test_a_folder_that_others_may_write_to_is_refused(runtime: Path) -> None:
@@ -203,9 +203,9 @@ def test_services_are_found_beside_the_own_hands(
         monkeypatch.delenv(directory.VARIABLE)
         monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "own"))
         with announced("gripper", ["a"]):
-            assert set(running()) == {"svh", "gripper"}
+            assert set(hands_running()) == {"svh", "gripper"}
         monkeypatch.setenv(directory.VARIABLE, str(runtime))
-        assert not running(), "a folder that was named is the only one"
+        assert not hands_running(), "a folder that was named is the only one"
 
 
 def test_where_the_folder_is(monkeypatch: pytest.MonkeyPatch, runtime: Path) -> None:

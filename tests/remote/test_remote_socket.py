@@ -18,7 +18,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, NoHand
 from rtee.hand.model import Hand
 from rtee.remote import link, session
-from rtee.remote.directory import running
+from rtee.remote.directory import hands_running
 from rtee.remote.link import Link
 from rtee.remote.server import Inboxes
 
@@ -76,7 +76,7 @@ async def test_no_port_listens(hand: Hand, library: ActionLibrary, runtime: Path
         found = stat.S_IMODE((runtime / "small.sock").stat().st_mode)
         assert found == 0o660
         assert _listening_ports() == before
-        (endpoint,) = running()["small"].endpoints
+        (endpoint,) = hands_running()["small"].endpoints
         assert endpoint == f"unixsock-stream/{runtime}/small.sock"
     assert os.listdir(runtime) == []
 

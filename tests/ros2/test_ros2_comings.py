@@ -21,7 +21,7 @@ from rtee.hand.config_schema import Ros2Settings
 from rtee.hand.model import Hand
 from rtee.loop import shutdown_signals
 from rtee.loop.shutdown_signals import companion
-from rtee.remote.directory import running
+from rtee.remote.directory import hands_running
 from rtee.ros2.action_client import ActionClient
 from rtee.ros2.actions import GoalState
 from rtee.ros2.keys import Kind
@@ -187,7 +187,7 @@ async def test_a_trajectory_survives_a_stall_of_the_hand(
         message = client.type.goal(trajectory=trajectory(["thumb"], (1.5, [0.8])))
         goal = await client.send_goal(message)
         await anyio.sleep(0.5)
-        hand = running()["small"].pid
+        hand = hands_running()["small"].pid
         os.kill(hand, signal.SIGSTOP)
         await anyio.sleep(0.4)
         os.kill(hand, signal.SIGCONT)
