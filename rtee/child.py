@@ -21,6 +21,13 @@ _SAFE: Final = "PYTHONSAFEPATH"
 """Environment variable with the effect of ``-P``, which the children of a child inherit."""
 
 
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # a container or taskset may leave fewer than there are
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def python(*words: str) -> list[str]:
     """Return the command line of a Python process; start it with `environment`."""
     return [sys.executable, "-P", *words]

@@ -281,6 +281,13 @@ def first_error(group: BaseExceptionGroup[BaseException]) -> RteeError | None:
     return first if isinstance(first, RteeError) else None
 
 
+def sole_error(error: Exception) -> Exception:
+    """Return the error in a task group's group of a single one; any other error as it is."""
+    while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
+        error = error.exceptions[0]
+    return error
+
+
 def closest(name: str, valid: Iterable[str]) -> str:
     """Return the valid name most similar to a name, ignoring case; ``""`` if none is similar."""
     folded = {each.casefold(): each for each in valid}

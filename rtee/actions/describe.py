@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -22,6 +21,7 @@ from rtee.actions.types import (
 )
 from rtee.hand.abduction import abduction
 from rtee.hand.model import Hand
+from rtee.values import plain
 
 
 def clearance_text(clearance: float) -> str:
@@ -62,8 +62,8 @@ def describe(hand: Hand, actions: Iterable[Action], seconds: float | None = None
         },
         "actuators": {
             spec.name: {
-                "lower": _finite(spec.lower),
-                "upper": _finite(spec.upper),
+                "lower": plain(spec.lower),
+                "upper": plain(spec.upper),
                 "rest": float(rest),
             }
             for spec, rest in zip(hand.actuators, hand.rest, strict=True)
@@ -75,11 +75,6 @@ def describe(hand: Hand, actions: Iterable[Action], seconds: float | None = None
     if seconds is not None:
         document["seconds"] = seconds
     return document
-
-
-def _finite(value: float) -> float | None:
-    # JSON has no infinity.
-    return float(value) if math.isfinite(value) else None
 
 
 def _section(kind: ActionKind) -> str:

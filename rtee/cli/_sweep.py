@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from rtee import monotonic
+from rtee.child import processors
 from rtee.errors import ConfigError, WorkerLost, needing_extra
 
 if TYPE_CHECKING:
@@ -79,8 +80,7 @@ def workers_for(
         return Cluster(
             cluster, folders, objects, lambda text: print(f"rtee: {text}", file=sys.stderr)
         )
-    # A container or taskset may leave fewer processors than the computer has.
-    return Local(min(jobs or len(os.sched_getaffinity(0)), count))
+    return Local(min(jobs or processors(), count))
 
 
 def _tell(text: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -32,6 +31,9 @@ if TYPE_CHECKING:
     from rtee.trials.tasks import TaskResult, TaskTrial
     from rtee.trials.trial import Trial, TrialResult
 
+
+_OBJECTS: Final = ["sphere:0.03"]
+"""The object unless another one is given: a ball of 60 mm."""
 
 _VARIATIONS = 20
 """Variations of each trial with --all: 18 held of 20 means at least 70 %, at 95 % confidence."""
@@ -114,8 +116,19 @@ def try_(
             raise ConfigError("which action? give its name, such as Grasp")
         tell_of_meshes(object_ or [])
         tell_of_limits([resolved(hand)])
-        options = TaskOptions(task, reflexes, force, max_force, width, mass, variations, seed)
-        try_tasks(resolved(hand), action, elements or [], object_ or [], options, json_)
+        tasks = _task_trials(
+            task,
+            object_ or _OBJECTS,
+            reflexes,
+            force,
+            max_force,
+            width,
+            action=action,
+            elements=tuple(elements or ()),
+            mass=mass,
+            seed=seed,
+        )
+        _try_tasks(resolved(hand), tasks, variations, json_)
         return
 
     with needing_extra("a trial", "sim"):
@@ -139,7 +152,7 @@ def try_(
     if action is None:
         raise ConfigError("which action? give its name, or --all")
     known = bench(name).library.find(action, elements or ())
-    shapes = object_ or ["sphere:0.03"]
+    shapes = object_ or _OBJECTS
     trials = [
         Trial(
             known.name,
@@ -232,8 +245,15 @@ def _all(
         sweep = Sweep(workers_for([name], shapes, jobs, cluster, len(todo)), known, again=again)
         for trial in todo:
             sweep.add(name, trial)
-        words = _Words(len(todo), again, known.kept_in)
-        for _ in followed(sweep, known.write, lambda: words(known.added)):
+        same = "the same command without --again" if again else "the same command"
+
+        def kept() -> str:
+            count = f"{known.added} of {len(todo)}"
+            return (
+                f"the results of {count} trials are kept in {known.kept_in}; {same} does the others"
+            )
+
+        for _ in followed(sweep, known.write, kept):
             pass
     # Outdated results of other actions stay if all requested results were known.
     if isinstance(known, TrialFile):
@@ -264,22 +284,6 @@ def _results_in_file(name: str, trials: Sequence[Trial], out: Path | None) -> Tr
             file=sys.stderr,
         )
     return known
-
-
-@dataclass(frozen=True, slots=True)
-class _Words:
-    """Words for the results that are kept when a sweep ends early."""
-
-    total: int
-    again: bool
-    path: Path
-
-    def __call__(self, taken: int) -> str:
-        same = "the same command without --again" if self.again else "the same command"
-        return (
-            f"the results of {taken} of {self.total} trials are kept in {self.path};"
-            f" {same} does the others"
-        )
 
 
 def _show(results: Sequence[TrialResult], as_json: bool) -> None:
@@ -329,52 +333,18 @@ _TASK_VARIATIONS: Final = 6
 """Default number of variations: enough for a first look, as each takes some seconds."""
 
 
-@dataclass(frozen=True, slots=True)
-class TaskOptions:
-    """Options of `rtee try --task`; quantities are texts with a unit, such as ``3N``.
-
-    Attributes:
-        reflexes: With reflexes, without, or ``None``: both.
-        force: Force to hold with.
-        max_force: Force up to which a slip raises the force.
-        width: Width of the object.
-        mass: Mass of the object [kg].
-        variations: Number of variations of each task.
-        seed: Seed of the variations.
-    """
-
-    tasks: Sequence[str]
-    reflexes: bool | None
-    force: str | None
-    max_force: str | None
-    width: str | None
-    mass: float | None
-    variations: int | None
-    seed: int
-
-
-def try_tasks(
-    hand: str,
-    action: str,
-    elements: Sequence[str],
-    objects: Sequence[str],
-    options: TaskOptions,
-    as_json: bool,
+def _try_tasks(
+    hand: str, trials: Sequence[TaskTrial], variations: int | None, as_json: bool
 ) -> None:
-    """Try tasks with an action and a sphere, or other objects; print how often each succeeded.
+    """Try tasks; print how often each succeeded. Raises `UserError` for a mistake in the files."""
+    from rtee.trials.bench import bench
+    from rtee.trials.tasks import RATE, run_task
 
-    Raises `UserError` for every mistake on the command line and in the hand's files.
-    """
-    with needing_extra("a trial", "sim"):
-        from rtee.trials.bench import bench
-        from rtee.trials.tasks import RATE, run_task
-
-    trials = _trials(action, tuple(elements), objects, options)
     ready = bench(hand, RATE)
     # An unknown action is refused before the first trial.
-    ready.library.find(action, elements)
+    ready.library.find(trials[0].action, trials[0].elements)
     # Tasks have no trial without variation, so that --variations 0 still tries one.
-    count = _TASK_VARIATIONS if options.variations is None else max(options.variations, 1)
+    count = _TASK_VARIATIONS if variations is None else max(variations, 1)
     documents = []
     for trial in trials:
         results = [run_task(ready, trial, number) for number in range(count)]
@@ -387,39 +357,40 @@ def try_tasks(
         print(to_json(documents, indent=2))
 
 
-def _trials(
-    action: str, elements: tuple[str, ...], objects: Sequence[str], options: TaskOptions
+def _task_trials(
+    tasks: Sequence[str],
+    objects: Sequence[str],
+    reflexes: bool | None,
+    force: str | None,
+    max_force: str | None,
+    width: str | None,
+    **same: Any,
 ) -> list[TaskTrial]:
-    from rtee.trials.tasks import FORCE, MOST, GraspMode, Task, TaskTrial
+    """Return the trials of tasks with objects, with the attributes that are the ``same`` for all.
 
-    for name in options.tasks:
+    Raises `UserError` for every mistake on the command line.
+    """
+    with needing_extra("a trial", "sim"):
+        from rtee.trials.tasks import FORCE, MOST, GraspMode, Task, TaskTrial
+
+    for name in tasks:
         if name not in list(Task):
             raise ConfigError(f"unknown task '{name[:80]}'; {suggestion(name, list(Task))}")
-    force = FORCE if options.force is None else quantity(options.force, NEWTONS, "force")
-    most = (
-        MOST if options.max_force is None else quantity(options.max_force, NEWTONS, "largest force")
-    )
+    least = FORCE if force is None else quantity(force, NEWTONS, "force")
     # A --force above the default of --max-force raises that, too.
-    most = max(most, force) if options.max_force is None else most
-    if most < force:
-        raise ConfigError(f"--max-force must be at least --force, {force:g} N, not {most:g} N")
-    width = None if options.width is None else quantity(options.width, LENGTH, "width")
-    modes = [mode for mode in GraspMode if options.reflexes in (None, mode is GraspMode.REFLEXES)]
+    most = max(MOST, least) if max_force is None else quantity(max_force, NEWTONS, "largest force")
+    if most < least:
+        raise ConfigError(f"--max-force must be at least --force, {least:g} N, not {most:g} N")
+    same |= {
+        "width": None if width is None else quantity(width, LENGTH, "width"),
+        "force": least,
+        "most": most,
+    }
+    modes = [mode for mode in GraspMode if reflexes in (None, mode is GraspMode.REFLEXES)]
     return [
-        TaskTrial(
-            Task(name),
-            action,
-            elements,
-            shape,
-            mode,
-            width,
-            options.mass,
-            force,
-            most,
-            options.seed,
-        )
-        for shape in objects or ("sphere:0.03",)
-        for name in dict.fromkeys(options.tasks)
+        TaskTrial(Task(name), object=shape, mode=mode, **same)
+        for shape in objects
+        for name in dict.fromkeys(tasks)
         for mode in modes
     ]
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from rtee.actions.naming import label
 from rtee.actions.types import Primitive, PrimitiveKind
+from rtee.child import processors
 from rtee.extract.canonical import Canonical, canonical
 from rtee.extract.evidence import Inspector, as_posture
-from rtee.extract.jobs import ForkedProcesses, Progress, processors
+from rtee.extract.jobs import ForkedProcesses, Progress
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.extract.multi import MultiSearch, Pinches
 from rtee.extract.pinch import PinchProbe, pinch_search

@@ -29,13 +29,6 @@ _shared: Any
 """What a process of the pool has inherited by the fork."""
 
 
-def processors() -> int:
-    """Return the number of processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 class ForkedProcesses(Generic[Shared]):
     """Forked processes that share large data, such as meshes, without copies.
 

@@ -26,14 +26,15 @@ from rtee.actions.types import (
     PrimitiveKind,
     Timed,
 )
-from rtee.errors import needing_extra
-from rtee.extract.jobs import parallel_map, processors
+from rtee.child import processors
+from rtee.extract.jobs import parallel_map
 from rtee.hand.colours import finger_colours
 from rtee.hand.model import Hand, JointRole
 from rtee.hand.names import common_prefix
 from rtee.hand.urdf import UrdfMimic
 from rtee.render.hand import SIZE, HandRenderer
 from rtee.render.image import Contact
+from rtee.render.page import load_template
 from rtee.sample import FloatArray
 from rtee.types import ActuatorSpec, JointKind
 
@@ -41,8 +42,6 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
     from rtee.extract.extraction import Extraction
-
-_TEMPLATE: Final = Path(__file__).with_name("report.html.jinja")
 
 _EXPLAINED: Final = {
     "Trig": "All actuators that move only this finger, as far as they go.",
@@ -171,7 +170,17 @@ def make_report(
         ConfigError: The extra ``plot`` is not installed.
         ModelError: A mesh cannot be read, or the hand has no shapes at all.
     """
-    template = _load_template()
+    template = load_template(
+        Path(__file__).with_name("report.html.jinja"),
+        "a report",
+        bar=_bar,
+        effort=_effort,
+        law=_law,
+        quantity=_quantity,
+        size=_size,
+        source=_source,
+        tags=_tags,
+    )
     sections = {**_primitives(hand, extraction.primitives), **_custom(hand, actions or ())}
     every = [view for plans in sections.values() for _, views in plans for view in views]
     renderer = HandRenderer(hand, size, postures=[view.u for view in every])
@@ -286,31 +295,6 @@ def _moved(hand: Hand, posture: Posture) -> tuple[str, ...]:
     return tuple(
         finger.name for finger in hand.fingers if set(finger.actuators) & set(posture.involved)
     )
-
-
-def _load_template() -> Template:
-    """Return the template of the page; raise `MissingExtra` without Jinja."""
-    with needing_extra("a report", "plot"):
-        from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATE.parent),
-        # Names come from files and are text, never markup.
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        # A misspelt name in the template is an error, instead of a gap in the report.
-        undefined=StrictUndefined,
-    )
-    environment.filters |= {
-        "bar": _bar,
-        "effort": _effort,
-        "law": _law,
-        "quantity": _quantity,
-        "size": _size,
-        "source": _source,
-        "tags": _tags,
-    }
-    return environment.get_template(_TEMPLATE.name)
 
 
 def _page(

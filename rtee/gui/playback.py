@@ -12,6 +12,7 @@ from rtee.errors import LogError
 from rtee.gui.history import JOINT_QUANTITIES, stride
 from rtee.hand.model import Hand
 from rtee.log import Recording, Span
+from rtee.log.recording import row_at
 from rtee.messages.state import ACTUATOR_COLUMNS, State
 from rtee.objects.description import ObjectDescription
 from rtee.sample import BoolArray, FloatArray
@@ -101,10 +102,6 @@ class Playback:
         """Times [s] and texts of the marks set by users."""
         return [(entry.t, entry.value.text) for entry in self.recording.marks]
 
-    @staticmethod
-    def _row(t: FloatArray, time: float) -> int:
-        return max(0, int(np.searchsorted(t, time, side="right")) - 1)
-
     def state(self) -> State:
         """Return the state at the displayed time."""
         states, sent, joints = (
@@ -112,16 +109,16 @@ class Playback:
             self.recording.reference,
             self.recording.joint_states,
         )
-        row, order = self._row(states.t, self.time), self._order
+        row, order = row_at(states.t, self.time), self._order
         nothing = np.full(len(order), np.nan)
         position = states.position[row, order]
         if self._sent:
-            at = self._row(sent.t, self.time)
+            at = row_at(sent.t, self.time)
             reference = [a[at, self._sent] for a in (sent.position, sent.velocity, sent.effort)]
         else:
             reference = [nothing, nothing, nothing]
         if len(joints) and len(self._joints) == len(self._hand.joint_names):
-            joint_position = joints.position[self._row(joints.t, self.time), self._joints]
+            joint_position = joints.position[row_at(joints.t, self.time), self._joints]
         else:
             joint_position = self._hand.transmission.joints(position)
         return State(
@@ -136,7 +133,7 @@ class Playback:
             joint_names=self._hand.joint_names,
             joint_position=joint_position,
             channels={
-                name: channel.values[self._row(channel.t, self.time)]
+                name: channel.values[row_at(channel.t, self.time)]
                 for name, channel in self.recording.channels.items()
             },
         )
@@ -145,7 +142,7 @@ class Playback:
         """Return the last readings of the touch sensors at the displayed time."""
         series = self.recording.touch.values()
         known = [each for each in series if len(each) and each.t[0] <= self.time]
-        return [each.state(self._row(each.t, self.time)) for each in known]
+        return [each.state(row_at(each.t, self.time)) for each in known]
 
     def touch_windows(
         self, length: float

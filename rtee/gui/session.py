@@ -31,12 +31,13 @@ from rtee.gui.trial_results import key_of, tried_in
 from rtee.gui.watch import AGAIN, Watch
 from rtee.gui.wording import Angles, effort_bar, put, small
 from rtee.hand.model import Hand
+from rtee.loop.plan import targets_of
 from rtee.messages.state import State
 from rtee.planning.result import GraspPlan
 from rtee.remote.client import RemoteHand
 from rtee.sample import FloatArray
 from rtee.touch import TouchState
-from rtee.types import Event, from_rest
+from rtee.types import Event
 
 _PLOT_PERIOD = 1 / 8
 """Time between two updates of the plots [s]: each takes the browser a few milliseconds."""
@@ -182,9 +183,8 @@ class HandSession:
         state = self._watch.truth.state
         start = self._hand.rest if state is None else state.reference_position
         target = np.array(start)
-        for name in posture.involved:
-            index = self._hand.actuator_index(name)
-            target[index] = from_rest(self._hand.rest[index], posture.position[name], intensity)
+        for index, position in targets_of(posture, self._hand, intensity).items():
+            target[index] = position
         return target
 
     def _look_at(self, playback: Playback | None) -> None:

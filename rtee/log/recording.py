@@ -26,6 +26,11 @@ from rtee.values import Value
 T = TypeVar("T")
 
 
+def row_at(times: FloatArray, time: float) -> int:
+    """Return the row of the last values up to a time, otherwise the first row."""
+    return max(0, int(np.searchsorted(times, time, side="right")) - 1)
+
+
 @dataclass(frozen=True)
 class JointSeries(Value):
     """Joint states over time.

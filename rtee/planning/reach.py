@@ -19,6 +19,7 @@ import numpy as np
 from rtee.actions.types import Action
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.model import Hand
+from rtee.objects.shape import vector
 from rtee.planning.closing import ActionPath
 from rtee.planning.collisions import GraspCollisions
 from rtee.planning.frames import (
@@ -186,7 +187,7 @@ def _checked(
             raise ConfigError(f"unknown finger '{name}'; {suggestion(name, tips.fingers)}")
         if names.count(name) > 1:
             raise ConfigError(f"the finger '{name}' has two contacts")
-    points = np.array([_finite(c.point, "a contact's point") for c in contacts])
+    points = np.array([vector(c.point, "a contact's point") for c in contacts])
     for i, j in zip(*np.triu_indices(len(points), 1), strict=True):
         if np.linalg.norm(points[i] - points[j]) < _SAME:
             raise ConfigError(f"the contacts {i + 1} and {j + 1} are at the same place")
@@ -195,19 +196,12 @@ def _checked(
     made = []
     for point, contact in zip(points, contacts, strict=True):
         given = contact.normal
-        normal = middle - point if given is None else _finite(given, "a contact's normal")
+        normal = middle - point if given is None else np.array(vector(given, "a contact's normal"))
         length = float(np.linalg.norm(normal))
         if length < 1e-9:
             raise ConfigError("a contact's normal must not be 0")
         made.append(_Contact(turn.T @ (point - origin), turn.T @ normal / length, contact.finger))
     return made
-
-
-def _finite(values: Sequence[float], what: str) -> FloatArray:
-    found = np.asarray(values, dtype=np.float64)
-    if found.shape != (3,) or not np.isfinite(found).all():
-        raise ConfigError(f"{what} must be three finite numbers, not {values!r}")
-    return found
 
 
 def _starts(hand: Hand, actions: Iterable[Action]) -> list[FloatArray]:

@@ -17,7 +17,7 @@ import anyio
 from msgspec import structs
 
 from rtee.buses.pool import BusPool
-from rtee.errors import ConfigError, LoopError, RteeError, needing_extra
+from rtee.errors import ConfigError, LoopError, RteeError, needing_extra, sole_error
 from rtee.hand.config_schema import RealtimeSettings, RemoteSettings
 from rtee.log import Recorder
 from rtee.loop.clock import Clock
@@ -126,10 +126,11 @@ async def run_hands(
         signals = stack.enter_context(receive_signals())
         # Also before devices are opened: a hand that is already running uses them.
         places = {name: stack.enter_context(claimed(name)) for name in given if serve is not None}
-        trace = _Trace()
-        pool = await stack.enter_async_context(BusPool(trace=trace if options.trace else None))
+        recorders: list[Recorder] = []
+        trace = partial(_trace, recorders) if options.trace else None
+        pool = await stack.enter_async_context(BusPool(trace=trace))
         lines = stack.enter_context(event_lines(options.events)) if options.events else None
-        hands = [await _open(one, pool, options, stack, trace, lines) for one in prepared]
+        hands = [await _open(one, pool, options, stack, recorders, lines) for one in prepared]
         await _connected(hands)
         for hand in hands:
             if serve is not None:
@@ -234,7 +235,7 @@ async def _open(
     pool: BusPool,
     options: RunOptions,
     stack: AsyncExitStack,
-    trace: _Trace,
+    recorders: list[Recorder],
     lines: Callable[[Fields], None] | None,
 ) -> _RunningHand:
     loop = prepared.loop(pool)
@@ -260,7 +261,7 @@ async def _open(
     recorder.controller = loop.controller
     # Enter the recorder before the loop, so that it still records the closing of the devices.
     await stack.enter_async_context(recorder)
-    trace.recorders.append(recorder)
+    recorders.append(recorder)
     loop.add_observer(recorder)
     loop.add_observer(tally)
     loop.add_observer(EventLog())
@@ -341,8 +342,7 @@ async def _rest(
 def _failure(error: Exception, hands: Sequence[_RunningHand]) -> RteeError:
     """Log an error of the loop, write the flight recording, and return the error to raise."""
     # The task group wraps the clock's error, which by itself is clearer to the user.
-    while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
-        error = error.exceptions[0]
+    error = sole_error(error)
     log.error("the loop failed", exc_info=error)
     for hand in hands:
         hand.recorder.fault("the loop failed")
@@ -351,16 +351,12 @@ def _failure(error: Exception, hands: Sequence[_RunningHand]) -> RteeError:
     return LoopError(f"the loop failed: {type(error).__name__}: {error}")
 
 
-class _Trace:
-    """Records the bytes on all buses as events, once there are recorders."""
-
-    def __init__(self) -> None:
-        self.recorders: list[Recorder] = []
-
-    def __call__(self, bus: str, direction: str, data: bytes, stamp: float) -> None:
-        event = Event("trace", bus, f"{direction} {data.hex(' ')}", stamp)
-        for recorder in self.recorders:
-            recorder.on_event(event)
+def _trace(
+    recorders: Sequence[Recorder], bus: str, direction: str, data: bytes, stamp: float
+) -> None:
+    """Record bytes on a bus as an event."""
+    for recorder in recorders:
+        recorder.on_event(Event("trace", bus, f"{direction} {data.hex(' ')}", stamp))
 
 
 def _log_words(recorder: Recorder) -> str:

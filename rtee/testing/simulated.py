@@ -20,7 +20,7 @@ import anyio
 from rtee.actions.types import ActionReference
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_time import SimulatedTimeLoop
-from rtee.errors import NoHand, NotReady
+from rtee.errors import NoHand, NotReady, sole_error
 from rtee.hand.load import hand_folder
 from rtee.hand.model import Hand
 from rtee.loop.clock import Clock
@@ -133,10 +133,7 @@ class SimulatedHand(EmulatedDevices, Observer):
             await self._live(lives)
         except ExceptionGroup as group:
             # Task groups wrap even a single error, which callers want to catch by its type.
-            error: Exception = group
-            while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
-                error = error.exceptions[0]
-            raise error from None
+            raise sole_error(group) from None
 
     async def _live(self, lives: asyncio.Event) -> None:
         async with self._pool, self._loop, anyio.create_task_group() as group:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
+from rtee.child import processors
 from rtee.drivers.mujoco.objects import MESHES
 from rtee.errors import ConfigError
 from rtee.hand.load import hand_folder
@@ -54,7 +54,7 @@ def run_trials(
     if len(set(trials)) != len(trials):
         raise ConfigError("the batch has the same trial twice; remove one")
     found: dict[Trial, TrialResult] = {}
-    processes = min(jobs or len(os.sched_getaffinity(0)), len(trials))
+    processes = min(jobs or processors(), len(trials))
     sweep = Sweep(Local(processes))
     for trial in trials:
         sweep.add(str(folder), trial)

@@ -5,18 +5,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from rtee.errors import needing_extra
+from rtee.render.page import load_template
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.sweep import Sweep
 from rtee.trials.variation import interval, interval_text
 from rtee.trials.work import Answer, Picture, Planned, Planning, Portrait, Task, object_of
-
-if TYPE_CHECKING:
-    from jinja2 import Template
 
 _MOST: Final = 3
 """Number of actions tried on an object by each hand: the planner's first choices."""
@@ -250,23 +246,12 @@ class Comparison:
         Raises:
             MissingExtra: if Jinja is missing.
         """
-        return _template().render(table=self, name=name_of, wanted=self._like.wanted or 0.0)
+        template = load_template(
+            Path(__file__).with_name("comparison.html.jinja"), "a page of a comparison"
+        )
+        return template.render(table=self, name=name_of, wanted=self._like.wanted or 0.0)
 
 
 def name_of(text: str) -> str:
     """Return the short name of a hand or an object: that of its folder or file."""
     return Path(text).name if "/" in text else text
-
-
-@cache
-def _template() -> Template:
-    with needing_extra("a page of a comparison", "plot"):
-        from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
-    return environment.get_template("comparison.html.jinja")

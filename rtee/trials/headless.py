@@ -142,11 +142,9 @@ class HeadlessHand(Generic[P]):
         self._before.append(call)
 
     def _describe_object(self) -> None:
-        obj = self.simulation.object_description
-        for observer in self.observers:
-            describe = getattr(observer, "on_object", None)
-            if describe is not None and obj is not None:
-                describe(obj, self.time)
+        if (obj := self.simulation.object_description) is not None:
+            for observer in self.observers:
+                observer.on_object(obj, self.time)
 
     def apply(self, command: Command) -> None:
         """Give a command to the controller, with the next tick."""
@@ -177,9 +175,7 @@ class HeadlessHand(Generic[P]):
         plan = make_plan(goal, self.hand, self.library, self._settings)
         for observer in self.observers:
             observer.on_goal(goal, self.time)
-            tell = getattr(observer, "on_plan", None)
-            if tell is not None:
-                tell(plan, self.time)
+            observer.on_plan(plan, self.time)
         self._due.append(plan)
 
     def wait(self, duration: float) -> None:

@@ -15,7 +15,7 @@ from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, cylinder, solid
 from rtee.log.playback import write_hand
-from rtee.log.recording import Recording
+from rtee.log.recording import Recording, row_at
 from rtee.objects.description import CONTACTS, ObjectPart, contact_rows, force_arrows
 from rtee.render.camera import choose_view, fit_camera
 from rtee.render.hand import link_colours
@@ -102,12 +102,12 @@ class _Strip:
 
     def _hand_at(self, at: float) -> Mesh:
         states = self._recording.actuator_states
-        return self._mesh.at(states.position[_row(states.t, at), self._order])
+        return self._mesh.at(states.position[row_at(states.t, at), self._order])
 
     def _at(self, at: float) -> Mesh:
         meshes = [self._hand_at(at)]
         channels = {
-            name.rpartition("/")[2]: channel.values[_row(channel.t, at)]
+            name.rpartition("/")[2]: channel.values[row_at(channel.t, at)]
             for name, channel in self._recording.channels.items()
         }
         pose = pose_in_hand(channels)
@@ -119,11 +119,6 @@ class _Strip:
                 shaft = Mesh.of(cylinder(_THICK * self._size, length), self._force)
                 meshes.append(shaft.placed(_along(row[:3], row[3:6], length)))
         return Mesh.joined(meshes)
-
-
-def _row(times: FloatArray, at: float) -> int:
-    """Return the row of the last values before a time, otherwise the first row."""
-    return max(0, int(np.searchsorted(times, at, side="right")) - 1)
 
 
 def _along(point: FloatArray, force: FloatArray, length: float) -> FloatArray:

@@ -13,6 +13,9 @@ PAGE = (ROOT / "docs" / "architecture.md").read_text()
 HOPS = re.findall(r"^\| \d+ \| `(rtee/[\w/]+\.py)` \| `(\w+)(?:\.(\w+))?` \|", PAGE, re.MULTILINE)
 FILES = sorted(set(re.findall(r"`(rtee/[\w/]+(?:\.\w+|/))`", PAGE)))
 
+BARE = sorted(set(re.findall(r"`(\w+\.(?:py|js|css|msg))`", PAGE)))
+"""Files that the page names without their folder, behind another one of it."""
+
 
 def test_the_page_names_hops_and_files() -> None:
     assert len(HOPS) == len(re.findall(r"^\| \d+ \|", PAGE, re.MULTILINE))
@@ -32,3 +35,8 @@ def test_every_hop_is_there(file: str, name: str, method: str) -> None:
 @pytest.mark.parametrize("file", FILES)
 def test_every_file_is_there(file: str) -> None:
     assert (ROOT / file).exists()
+
+
+@pytest.mark.parametrize("name", BARE)
+def test_every_file_without_its_folder_is_there(name: str) -> None:
+    assert any((ROOT / "rtee").rglob(name))

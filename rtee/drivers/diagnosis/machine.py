@@ -8,6 +8,7 @@ import resource
 import shutil
 from pathlib import Path
 
+from rtee.child import processors
 from rtee.drivers.diagnosis.checks import Check, ok, warning
 from rtee.hand.config_schema import RealtimeSettings
 
@@ -79,7 +80,7 @@ def _memory() -> Check:
 
 
 def _processors() -> Check:
-    count = len(os.sched_getaffinity(0))
+    count = processors()
     if count < 2:
         return warning(
             "processors", "one", "a loop at 1 kHz needs a second CPU for everything else"
