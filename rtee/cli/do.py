@@ -6,7 +6,6 @@ import contextlib
 import math
 import signal
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 # Imported before a goal begins: a signal that arrives during an import would not cancel it.
@@ -118,8 +117,8 @@ def open_(
 
 def _end(result: Result, as_json: bool, elements: Sequence[str] = (), remark: str = "") -> NoReturn:
     """Print a result, with a remark behind its sentence, and end with its exit status."""
-    said = {"outcome": result.outcome, "succeeded": result.succeeded}
-    print(to_json(asdict(result) | said) if as_json else sentence(result, elements))
+    told = {**result.to_dict(), "succeeded": result.succeeded}
+    print(to_json(told) if as_json else sentence(result, elements))
     if remark and not as_json:
         print(remark)
     raise typer.Exit(0 if result.succeeded else 1)

@@ -266,6 +266,7 @@ def list_(
         parts (--all): Also the topics and services that actions are made of.
     """
     from rtee.ros2.listing import Sort, listed, unheard
+    from rtee.ros2.types import PREFIX
 
     sort = kind.removesuffix("s") if kind is not None else None
     if sort is not None and sort not in list(Sort):
@@ -280,13 +281,14 @@ def list_(
         print(to_json([_as_dict(row) for row in rows]))
         return
     columns = (Column("name", whole=True), "type", "offered by", "used by", "hash")
-    cells = (
-        Row(
-            (row.name, row.type, *map(" ".join, (row.offered, row.used)), _short(row.type_hash)),
-            heading=f"{row.sort}s",
+    cells = []
+    for row in rows:
+        # The beginning of a hash is enough to see that two differ.
+        names, short = (
+            map(" ".join, (row.offered, row.used)),
+            row.type_hash.removeprefix(PREFIX)[:8],
         )
-        for row in rows
-    )
+        cells.append(Row((row.name, row.type, *names, short), heading=f"{row.sort}s"))
     table_of(columns, cells, heading="kind").show()
     for sentence in unheard(everything):
         print(f"rtee: warning: {sentence}", file=sys.stderr)
@@ -301,11 +303,6 @@ def _as_dict(row: Listed) -> dict[str, Any]:
         "offered": list(row.offered),
         "used": list(row.used),
     }
-
-
-def _short(type_hash: str) -> str:
-    """Return the beginning of a hash: enough to see that two differ."""
-    return type_hash.removeprefix("RIHS01_")[:8]
 
 
 @app.command()
@@ -464,14 +461,11 @@ def send_goal(
 
 def _swapped(kind: str | None, fields: str | None) -> tuple[str | None, str | None]:
     """Return type and fields of a call whose type may have been omitted."""
-    if kind is not None and fields is None and not _is_type(kind):
-        return None, kind
-    return kind, fields
-
-
-def _is_type(text: str) -> bool:
+    if kind is None or fields is not None:
+        return kind, fields
     # Types are pkg/Name or pkg/srv/Name; fields in YAML have a colon or a brace.
-    return text.count("/") in (1, 2) and not set(text) & set(" {:")
+    is_type = kind.count("/") in (1, 2) and not set(kind) & set(" {:")
+    return (kind, None) if is_type else (None, kind)
 
 
 @app.command()

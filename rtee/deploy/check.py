@@ -15,10 +15,10 @@ from rtee.hand.files import reason
 from rtee.remote.credentials import HAND_KEY
 
 
-def is_installed(hand: str, root: Path = Path("/")) -> bool:
+def is_installed(hand: str) -> bool:
     """Return whether a hand is a service on this computer; false if the manifest is unreadable."""
     try:
-        return bool(Installation(root).manifest.of(hand))
+        return bool(Installation(Path("/")).manifest.of(hand))
     except ConfigError:
         return False
 

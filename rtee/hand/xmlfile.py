@@ -83,7 +83,7 @@ class Element:
         *,
         most: float = math.inf,
     ) -> tuple[float, ...]:
-        """Return an attribute as finite numbers separated by blanks.
+        """Return the finite numbers in an attribute, which blanks separate.
 
         Raises:
             ModelError: if there are not ``count`` of them, one is not finite or is larger than
