@@ -22,6 +22,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK, rest_position
 from rtee.drivers.mujoco.scene import build_hand
 from rtee.drivers.mujoco.servos import effort_note
+from rtee.drivers.mujoco.solids import turn_of
 from rtee.hand.model import Hand
 from rtee.types import JointKind
 
@@ -171,10 +172,10 @@ def _add_touch(spec: mujoco.MjSpec, hand: Hand) -> None:
 def _corners(model: mujoco.MjModel, geom: int) -> np.ndarray:
     """Return the corners ``(8, 3)`` of a shape's box in its body's frame [m]."""
     centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
     signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
-    return np.asarray(model.geom_pos[geom] + (centre + signs * half) @ turn.reshape(3, 3).T)
+    return np.asarray(
+        model.geom_pos[geom] + (centre + signs * half) @ turn_of(model.geom_quat[geom]).T
+    )
 
 
 def _own_names(spec: mujoco.MjSpec, hand: Hand) -> list[str]:

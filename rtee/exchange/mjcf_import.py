@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.drivers.mujoco.model import CARRIER
+from rtee.drivers.mujoco.solids import turn_of
 from rtee.errors import ConfigError, ModelError, UnknownLink
 from rtee.exchange.mjcf_coupling import motion_of
 from rtee.exchange.mjcf_files import ParsedModel, listening, mujoco_says, read_mjcf
@@ -246,7 +247,7 @@ class _Writer:
             link = _Link(name, body if last else None, anchor)
             self._link(link)
             if joint == joints[0]:
-                at = place + _matrix(turn) @ anchor
+                at = place + turn_of(turn) @ anchor
             else:
                 at, turn = anchor - before, np.array([1.0, 0.0, 0.0, 0.0])
             self._joint(joint, above, name, at, turn)
@@ -288,7 +289,7 @@ class _Writer:
         """Return the pose after a held joint, given the pose before the joint."""
         axis, position = self._model.jnt_axis[joint], self._motion.fixed[joint]
         if self._slides(joint):
-            return place + _matrix(turn) @ (axis * position), turn
+            return place + turn_of(turn) @ (axis * position), turn
         by, total = np.zeros(4), np.zeros(4)
         mujoco.mju_axisAngle2Quat(by, axis, position)
         mujoco.mju_mulQuat(total, turn, by)
@@ -396,7 +397,7 @@ class _Writer:
                 return [(origin, _cylinder(size))]
             case kinds.mjGEOM_CAPSULE:
                 # A URDF has no capsules; a cylinder with a sphere at each end has the same shape.
-                along = _matrix(turn)[:, 2] * size[1]
+                along = turn_of(turn)[:, 2] * size[1]
                 ball = f'<sphere radius="{_number(size[0])}"/>'
                 ends = [(_origin(place + end, turn), ball) for end in (along, -along)]
                 return [(origin, _cylinder(size)), *ends]
@@ -448,15 +449,9 @@ def _cylinder(size: FloatArray) -> str:
     return f'<cylinder radius="{_number(size[0])}" length="{_number(2.0 * size[1])}"/>'
 
 
-def _matrix(turn: FloatArray) -> FloatArray:
-    flat = np.zeros(9)
-    mujoco.mju_quat2Mat(flat, turn)
-    return flat.reshape(3, 3)
-
-
 def _origin(place: FloatArray, turn: FloatArray) -> str:
     """Return the element ``origin`` of a position [m] and a unit quaternion (w, x, y, z)."""
-    return f'<origin xyz="{_numbers(place)}" rpy="{_numbers(angles(_matrix(turn)))}"/>'
+    return f'<origin xyz="{_numbers(place)}" rpy="{_numbers(angles(turn_of(turn)))}"/>'
 
 
 def _number(value: float) -> str:

@@ -21,7 +21,7 @@ from rtee.drivers.mujoco.couplings import add_couplings, add_locks, motor_joint,
 from rtee.drivers.mujoco.options import DENSITY, JOINT_DAMPING, PASSIVE_STIFFNESS, SimOptions
 from rtee.drivers.mujoco.pairs import LINK, leave_pairs_out, pair_friction, rest_position
 from rtee.drivers.mujoco.servos import Servo, add_motor, servo_of
-from rtee.drivers.mujoco.solids import half_extents, set_solid
+from rtee.drivers.mujoco.solids import half_extents, set_solid, turn_of
 from rtee.errors import ConfigError, ModelError
 from rtee.hand.frames import quaternion
 from rtee.hand.inertia import PRISMATIC
@@ -200,9 +200,7 @@ def _set_inertia(body: mujoco.MjsBody, link: UrdfLink, geoms: list[mujoco.MjsGeo
         xx, xy, xz, yy, yz, zz = given.moments
         least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if least >= _LEAST_INERTIA and most <= (least + middle) * (1.0 + _TRIANGLE):
-            flat = np.zeros(9)
-            mujoco.mju_quat2Mat(flat, quaternion(given.rpy))
-            turn = flat.reshape(3, 3)
+            turn = turn_of(quaternion(given.rpy))
             tensor = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
             body.mass, body.ipos = link.mass, given.xyz
             body.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from rtee.drivers.mujoco.contacts import make_object
-from rtee.drivers.mujoco.solids import half_extents, set_solid
+from rtee.drivers.mujoco.solids import half_extents, set_solid, turn_of
 from rtee.hand.coarse import welded
 from rtee.hand.convex import Solid, convex_solids
 from rtee.hand.tessellation import stl_corners
@@ -176,9 +176,7 @@ def solid_parts(path: str, scale: float = 1.0) -> tuple[Solid, ...]:
     except ValueError:
         return ()
     # MuJoCo keeps the corners in the frame of the mesh's inertia.
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, model.mesh_quat[0])
-    corners = model.mesh_vert @ turn.reshape(3, 3).T + model.mesh_pos[0]
+    corners = model.mesh_vert @ turn_of(model.mesh_quat[0]).T + model.mesh_pos[0]
     faces = model.mesh_face.astype(np.int64)
     _, place = np.unique(model.mesh_vert, axis=0, return_inverse=True)
     parts = mesh_parts(place.reshape(-1)[faces], len(corners))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rtee.drivers.mujoco.objects import MESHES, OBJECT
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK
-from rtee.drivers.mujoco.solids import solid_of
+from rtee.drivers.mujoco.solids import solid_of, turn_of
 from rtee.drivers.mujoco.surroundings import Surroundings, pose_vector
 from rtee.hand.model import Hand
 from rtee.objects.description import (
@@ -164,9 +164,7 @@ def _mesh(
     The mesh is enlarged, along its file's axes, by the skin [m] by which it was shrunk.
     """
     first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    flat = np.zeros(9)
-    mujoco.mju_quat2Mat(flat, model.mesh_quat[mesh])
-    turn = flat.reshape(3, 3)
+    turn = turn_of(model.mesh_quat[mesh])
     inside = model.mesh_vert[first : first + count] @ turn.T
     least, most = inside.min(axis=0), inside.max(axis=0)
     middle, half = 0.5 * (least + most), 0.5 * (most - least)

@@ -1,4 +1,4 @@
-"""Boxes, spheres, cylinders and capsules as shapes of MuJoCo, which have half their sizes."""
+"""Solids as shapes of MuJoCo, which have half their sizes, and the rotations of shapes."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from typing import Final
 
 import mujoco
+import numpy as np
+
+from rtee.sample import FloatArray
 
 _TYPES: Final = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -14,6 +17,13 @@ _TYPES: Final = {
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
 }
 _KINDS: Final = {int(number): kind for kind, number in _TYPES.items()}
+
+
+def turn_of(quaternion: FloatArray) -> FloatArray:
+    """Return the rotation ``(3, 3)`` of a unit quaternion (w, x, y, z), as MuJoCo rounds it."""
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, quaternion)
+    return turn.reshape(3, 3)
 
 
 def half_extents(kind: str, size: Sequence[float]) -> list[float]:

@@ -12,6 +12,8 @@ from rtee.drivers.mujoco.model import CARRIER
 from rtee.drivers.mujoco.objects import OBJECT, TRIGGER
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK
+from rtee.drivers.mujoco.solids import turn_of
+from rtee.hand.frames import homogeneous
 from rtee.sample import FloatArray
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -189,12 +191,7 @@ class Surroundings:
     @property
     def object_frame(self) -> FloatArray:
         """Pose ``(4, 4)`` of the object in the world."""
-        frame = np.eye(4)
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, self.pose[3:])
-        frame[:3, :3] = turn.reshape(3, 3)
-        frame[:3, 3] = self.pose[:3]
-        return frame
+        return homogeneous(turn_of(self.pose[3:]), self.pose[:3])
 
     def touching(self) -> tuple[str, ...]:
         """Return the names of the links that touch the object, sorted."""

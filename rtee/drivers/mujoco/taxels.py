@@ -12,7 +12,7 @@ import numpy as np
 
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK
-from rtee.drivers.mujoco.solids import solid_of
+from rtee.drivers.mujoco.solids import solid_of, turn_of
 from rtee.hand.abduction import abduction
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Finger, Hand
@@ -271,10 +271,9 @@ def _surface_of(model: mujoco.MjModel, body: str) -> FloatArray:
     number = int(model.body(body).id)
     triangles = [np.zeros((0, 3, 3))]
     for geom in np.flatnonzero(model.geom_bodyid == number).tolist():
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
         points, faces = geom_triangles(model, geom)
-        triangles.append((points @ turn.reshape(3, 3).T + model.geom_pos[geom])[faces])
+        turned = points @ turn_of(model.geom_quat[geom]).T
+        triangles.append((turned + model.geom_pos[geom])[faces])
     return np.concatenate(triangles)
 
 
