@@ -55,11 +55,6 @@ class ObjectView:
         self._arrows: viser.ArrowsHandle | None = None
         self._drawn: FloatArray = np.zeros((0, 7))
 
-    @property
-    def described(self) -> ObjectDescription | None:
-        """The displayed object."""
-        return self._described
-
     def describe(self, description: ObjectDescription | None) -> None:
         """Draw another object, or none; it appears with the next channels."""
         if description is self._described:

@@ -193,14 +193,12 @@ class DriveScale:
         counts: Signed counts per rad or m of the actuator.
         zero: The drive's position where the actuator is at 0 [counts].
         rated_torque: The motor's rated torque at the actuator [N·m | N]; ``NaN``: not known.
-        rated_current: The motor's rated current [A]; ``NaN``: not known.
         velocity_unit: The drive's unit of velocity [counts/s].
     """
 
     counts: float
     zero: int = 0
     rated_torque: float = math.nan
-    rated_current: float = math.nan
     velocity_unit: float = 1.0
 
     def to_position(self, counts: int) -> float:
@@ -226,10 +224,6 @@ class DriveScale:
     def to_permille(self, effort: float) -> int:
         """Return a torque limit [0.1 % of the rated torque]."""
         return max(0, round(abs(effort) / self.rated_torque * 1000.0))
-
-    def to_current(self, permille: int) -> float:
-        """Return the motor's current [A]."""
-        return permille / 1000.0 * self.rated_current
 
 
 def counts_per_rad(increments: int, turns: int, motor: int, shaft: int) -> float:

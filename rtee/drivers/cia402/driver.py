@@ -95,11 +95,10 @@ def read_scale(drive: DriveLink, device: str) -> DriveScale:
             ) from error
     torque = given.rated_torque
     if torque is None:
-        # Objects 6075 and 6076 are in mA and mN·m.
+        # Object 6076 is in mN·m.
         rated = drive.number(Object.RATED_TORQUE, default=0) / 1000.0
         torque = rated * motor / shaft if rated > 0.0 and shaft > 0 else math.nan
-    current = drive.number(Object.RATED_CURRENT, default=0) / 1000.0
-    return DriveScale(counts, given.zero, torque, current or math.nan, given.velocity_unit)
+    return DriveScale(counts, given.zero, torque, given.velocity_unit)
 
 
 _DISARM_WITHIN = 0.5

@@ -86,7 +86,7 @@ def test_any_data_is_read_or_refused(data: bytes) -> None:
 
 @given(st.floats(-3.0, 3.0), st.sampled_from([651.9, -651.9, 12345.6]))
 def test_units_have_inverses(position: float, counts: float) -> None:
-    scale = DriveScale(counts, 77, 2.0, 1.5)
+    scale = DriveScale(counts, 77, 2.0)
     there = scale.to_counts(position)
     assert scale.to_position(there) == pytest.approx(position, abs=0.51 / abs(counts))
     assert scale.to_velocity(scale.to_velocity_limit(1.0)) * counts > 0
@@ -94,7 +94,6 @@ def test_units_have_inverses(position: float, counts: float) -> None:
     assert rpm.to_velocity_limit(60 * 4096 / counts) == 3600
     assert rpm.to_velocity(60) == pytest.approx(4096 / counts)
     assert abs(scale.to_effort(scale.to_permille(1.3))) == pytest.approx(1.3, abs=1e-3)
-    assert scale.to_current(500) == pytest.approx(0.75)
 
 
 def test_gear_and_encoder_make_the_counts() -> None:
