@@ -21,8 +21,11 @@ from rtee.actions.types import Primitive, PrimitiveKind, Timed
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
+from rtee.drivers.objects import grasping
+from rtee.loop.observer import Observer
 from rtee.remote.goal_values import touch_goal
-from rtee.testing.simulated import simulated
+from rtee.sample import TickRecord
+from rtee.testing.simulated import SimulatedHand, simulated
 from rtee.trials.bench import bench
 from rtee.trials.headless import HeadlessHand
 from rtee.types import Goal, Named, Outcome, Result
@@ -104,15 +107,48 @@ def touches(hands: Sequence[str]) -> None:
         table.row(hand, *emulated, *dynamic)
 
 
+class Press(Observer):
+    """Keeps the largest force of emulated devices on their object, as a share of their greatest."""
+
+    def __init__(self, made: SimulatedHand) -> None:
+        self.most = 0.0
+        owners = [device.spec.owner for device in made._loop.devices.values()]
+        emulators = [e for owner in owners for e in made._pool.simulation(owner).emulators]
+        self._closings = [one for e in emulators for one in grasping(e).closings()]
+        made._loop.add_observer(self)
+
+    def on_tick(self, record: TickRecord) -> None:
+        """Look at the object, which yields in proportion to the force."""
+        for one in self._closings:
+            if (found := one.motor.obstacle) is not None:
+                deep = (one.motor.position - found.contact) * found.closing
+                self.most = max(self.most, deep * found.stiffness / one.effort)
+
+
+def presses(hands: Sequence[str]) -> None:
+    """Touch an object at 0.4 of the way with emulated devices, and print the table."""
+    table = Table("largest force", *(f"{speed * 1e3:g} mm/s" for speed in SPEEDS))
+    for hand in hands:
+        row = []
+        for speed in SPEEDS:
+            with simulated(hand, object="0.4") as made:
+                press = Press(made)
+                made.touch(tip_speed=speed)
+                row.append(f"{100.0 * press.most:.0f} %")
+        table.row(hand, *row)
+
+
 def main() -> None:
     """Close the hands, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hand", nargs="+", help="these hands only")
     parser.add_argument("--objects", action="store_true", help="on objects instead of nothing")
     parser.add_argument("--touch", action="store_true", help="only slowly, until a first contact")
+    parser.add_argument("--press", action="store_true", help="the same on an object: how hard")
     arguments = parser.parse_args()
     hands = arguments.hand or sorted(p.parent.name for p in CONFIG.glob("*/openings.yaml"))
-    (touches if arguments.touch else objects if arguments.objects else empty)(hands)
+    chosen = {touches: arguments.touch, presses: arguments.press, objects: arguments.objects}
+    next((what for what, asked in chosen.items() if asked), empty)(hands)
 
 
 if __name__ == "__main__":

@@ -525,6 +525,11 @@ class ContactMonitor:
         least = (0.5 if self._free[i].known else 1.0) * watched.tolerance
         return (measured.position[i] - watched.start) * ahead > least
 
+    def behind(self, i: int) -> bool:
+        """Return whether a watched actuator is behind a reference that its device has received."""
+        watched = self._watched.get(i)
+        return watched is not None and watched.led >= _DELIVERED
+
     def moved(self, i: int, measured: Measured) -> bool:
         """Return whether a watched actuator has moved towards its target, not just its gears."""
         watched = self._watched.get(i)
@@ -738,12 +743,16 @@ class ContactMonitor:
                 return rules.both_sides_touch(pressing, least)
         return rules.any_touch(forces, least, every=every)
 
+    def has_effort(self, i: int, measured: Measured) -> bool:
+        """Return whether an actuator's effort or current is measured."""
+        effort, current = measured.effort[i], measured.current[i] if measured.current else math.nan
+        return effort == effort or current == current
+
     def unknown(self, i: int, measured: Measured) -> bool:
         """Return whether effort shows an actuator's contacts while its free motion is unknown."""
         if rules.any_touch(self.forces(i, measured), self._grasp.touch) is not None:
             return False
-        effort, current = measured.effort[i], measured.current[i] if measured.current else math.nan
-        return (effort == effort or current == current) and not self._free[i].known
+        return self.has_effort(i, measured) and not self._free[i].known
 
     def learn(
         self,

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from rtee.actions.openings import MARGIN
+from rtee.drivers.capabilities import GripForce
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
@@ -347,13 +348,12 @@ class Reflexes:
             self._contact.presses_now(watched, False)
             self._allow(ceilings(self._hand, dict(plan.effort), watched))
             return
+        sheet = None if plan.grip is None else plan.grip.sheet
         for i, each in watched.items():
-            if each.mode is OnContact.SQUEEZE or touch:
-                # A device with forces in its data sheet builds up the force by itself; a touch
-                # needs none.
-                sheet = None if touch or plan.grip is None else plan.grip.sheet
-                if sheet is None:
-                    self._begin_lightly(i, each, measured.position[i])
+            # A device with forces in its data sheet builds up the force by itself; a touch needs
+            # none.
+            if touch or (each.mode is OnContact.SQUEEZE and sheet is None):
+                self._begin_lightly(i, each, measured.position[i], sheet)
 
     def _together(self, plan: Plan, measured: Measured) -> ForceEstimate | None:
         """Return the force between fingers that keep their posture, where a goal needs that.
@@ -383,18 +383,24 @@ class Reflexes:
             self._begin_squeeze(approach, stamp, 1.0, efforts)
             self.changed = True
 
-    def _begin_lightly(self, i: int, each: _ApproachingActuator, here: float) -> None:
+    def _begin_lightly(
+        self, i: int, each: _ApproachingActuator, here: float, sheet: GripForce | None
+    ) -> None:
         """Have an actuator approach with little effort, unless it presses on an object already."""
         full = self._limit(i)
         if not math.isfinite(full):
             return
         if (self._limiter.position[i] - here) * each.ahead > each.tolerance:
             return  # it would drop the object
+        light = _LIGHT * self._contact.threshold(i)
+        if sheet is not None:
+            # Forces of a sheet are those at the fingertips: even the weakest overcomes friction.
+            self._allow({i: min(max(light, sheet.effort[0]), full)})
+            return
         known = self._hand.dynamics.get(self._hand.actuators[i].name)
         friction = (known.dry_friction if known is not None else None) or 0.0
-        each.limit = min(friction + _LIGHT * self._contact.threshold(i), full)
-        self.effort[i] = each.limit
-        self.changed = True
+        each.limit = min(friction + light, full)
+        self._allow({i: each.limit})
 
     def _mode(
         self, wanted: Mapping[str, OnContact], i: int, usual: OnContact | None
@@ -457,7 +463,9 @@ class Reflexes:
                 )
             if not (pressed or touches):
                 strengthened = watched.limit < math.inf
-                if strengthened and approach.around and self._contact.moved(i, measured):
+                # Where nothing measures effort, a contact looks like friction.
+                once = approach.around or not self._contact.has_effort(i, measured)
+                if strengthened and once and self._contact.moved(i, measured):
                     # Friction is overcome: from now on, only an object can stop the actuator.
                     self._allow({i: watched.limit})
                     watched.limit = math.inf
@@ -608,10 +616,13 @@ class Reflexes:
         # From the second time on: before, its travel is unknown.
         if watched.looked == watched.looked:
             moved, wanted = here - watched.was, reference - watched.reference
-            behind = (reference - here) * watched.ahead > watched.tolerance
             time = self._grasp.squeeze_time
-            if behind and not moved * watched.ahead >= _LAGS * wanted * watched.ahead:
-                share = (stamp - watched.looked) / time if time > 0.0 else 1.0
+            if (
+                self._contact.behind(i)
+                and not moved * watched.ahead >= _LAGS * wanted * watched.ahead
+            ):
+                # No faster by rare measurements: the next one shows whether it has set out.
+                share = _LOOKED_AT / time if time > 0.0 else 1.0
                 watched.limit = min(watched.limit + share * full, full)
             elif self._contact.bound(i):
                 watched.limit = min(watched.limit + _LIGHT * self._contact.threshold(i), full)

@@ -167,6 +167,7 @@ class LinkerHandDriver(Driver):
         self._temperatures: tuple[int, ...] = ()
         self._turn = 0
         self._moved = [0.0] * self._model.count
+        self._rested: list[int] = []
         self.capabilities = Capabilities(
             measures=frozenset({"position", "temperature", "grasped"}),
             accepts=frozenset({"position", "max_effort", "max_velocity"}),
@@ -247,13 +248,13 @@ class LinkerHandDriver(Driver):
     # --- every cycle -------------------------------------------------------------------------
 
     def _keep(self, counts: tuple[int, ...]) -> None:
-        """Store the measured positions and the time at which each motor last moved."""
+        """Store the measured positions, and when and where each motor last moved."""
         now = monotonic.now()
-        before = self._counts or counts
-        for motor, (new, old) in enumerate(zip(counts, before, strict=True)):
-            # A change of one count is noise.
+        self._rested = self._rested or list(counts)
+        for motor, (new, old) in enumerate(zip(counts, self._rested, strict=True)):
+            # One count is noise, but a slow motor takes each of them in a reading of its own.
             if abs(new - old) > 1:
-                self._moved[motor] = now
+                self._moved[motor], self._rested[motor] = now, new
         self._counts = counts
 
     async def sense(self) -> ActuatorState:
@@ -279,8 +280,11 @@ class LinkerHandDriver(Driver):
         targets = self._sent.get(Table.POSITION)
         if targets is None:
             return None
-        short = abs(targets[motor] - self._counts[motor]) > _SHORT
-        return short and now - self._moved[motor] > _RESTING
+        return self._short(motor, targets) and now - self._moved[motor] > _RESTING
+
+    def _short(self, motor: int, targets: Sequence[int]) -> bool:
+        """Return whether a motor is measured short of its set-point."""
+        return abs(targets[motor] - self._counts[motor]) > _SHORT
 
     def _check(self, codes: tuple[int, ...]) -> None:
         """Raise the fault that the motors report, if any."""
@@ -334,9 +338,10 @@ class LinkerHandDriver(Driver):
         limited = any(wanted[table] != sent.get(table) for table in (Table.TORQUE, Table.SPEED))
         await self.link.write(wanted if limited else {Table.POSITION: targets})
         now = monotonic.now()
-        for motor, target in enumerate(targets):
-            # A motor with a new set-point gets time to move before it counts as resting.
-            if before is None or target != before[motor]:
+        for motor in range(len(targets)):
+            # A motor gets time to begin before it counts as resting; one that rests short of a
+            # moving set-point has had it.
+            if before is None or not self._short(motor, before):
                 self._moved[motor] = now
         self._sent = wanted
 

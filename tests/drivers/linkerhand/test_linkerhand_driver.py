@@ -301,3 +301,21 @@ async def test_a_model_without_effort_limits_gets_all_torque() -> None:
         await session.driver.move(Reference.at(goal))
         await session.driver.move(Reference.at(goal, max_effort=[5.0] * len(boundless)))
         assert set(session.driver._sent[Table.TORQUE]) == {255}
+
+
+@pytest.mark.parametrize("blocked", [True, False])
+async def test_a_set_point_that_creeps_on_hides_no_object(blocked: bool) -> None:
+    """A slow motor, which takes each count in a reading of its own, holds nothing."""
+    given = {"object": "0.5"} if blocked else {}
+    async with Session(case(emulator=given)) as session:
+        await session.start()
+        index, said = 2, set[bool | None]()
+        for number in range(200):
+            there = [0.0, 0.0, 0.6 + 0.002 * number, 0.0, 0.0, 0.0]
+            # So slow that it stays some counts behind.
+            slow = Reference.at(there, max_velocity=[0.03 if number > 60 else 9.0] * 6)
+            state = await session.cycle(slow)
+            assert state is not None
+            said.add(None if state.grasped is None else state.grasped[index])
+            await anyio.sleep(0.02)
+        assert (True in said) is blocked
