@@ -11,6 +11,8 @@ from contextlib import asynccontextmanager
 from contextvars import Context
 from typing import Any
 
+from rtee import monotonic
+
 Work = Coroutine[Any, Any, object]
 
 _LATE = 0.1
@@ -45,6 +47,7 @@ class Runner:
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
         self._until = math.inf
+        self._suspended = 0.0
         self._timeout: asyncio.Timeout | None = None
         self.abandon: Callable[[], None] = lambda: None
         self._task: asyncio.Task[Any] | None = None
@@ -116,8 +119,14 @@ class Runner:
 
     @property
     def late(self) -> bool:
-        """Whether the deadline of the present work passed long ago: `check` had no chance."""
-        return self._until < math.inf and self._now() - self._until >= _LATE
+        """Whether the deadline of the present work passed long ago: `check` had no chance.
+
+        Work is also late if the computer was suspended meanwhile, which no deadline counts.
+        """
+        if self._until == math.inf:
+            return False
+        over, asleep = self._now() - self._until, monotonic.suspended() - self._suspended
+        return max(over, asleep) >= _LATE
 
     @asynccontextmanager
     async def guard(self) -> AsyncIterator[None]:
@@ -131,6 +140,7 @@ class Runner:
     def begin(self, within: float) -> None:
         """Set the deadline of the present work to ``within`` seconds from now."""
         self._until = self._now() + within
+        self._suspended = monotonic.suspended()
 
     def end(self) -> None:
         """Remove the deadline: the work is done."""

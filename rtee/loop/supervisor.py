@@ -518,8 +518,7 @@ class Supervisor:
         self.muted = 0
         self._on_event = on_event
         self._now = now
-        # Work that was under way when the computer was suspended is as late as after any pause.
-        self._runner = Runner(lambda: now() + monotonic.suspended())
+        self._runner = Runner(now)
         self.guarded = GuardedDriver(driver, self.name, len(self.actuators))
         self._runner.abandon = self._abandon
         self.connection = DeviceConnection(settings, self.guarded, self._runner, self._report, now)

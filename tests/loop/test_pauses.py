@@ -235,6 +235,14 @@ async def test_a_hand_moved_while_the_computer_was_suspended_stays_there(
         assert await rig.fist()
 
 
+async def test_a_stop_goes_on_where_the_computer_was_suspended(hand: Hand) -> None:
+    async with pausing(hand) as rig:
+        rig.driver.stop_time = 0.1
+        async with anyio.create_task_group() as group:
+            group.start_soon(rig.suspend, 3600.0, 0.025)
+            assert await rig.loop.stop() == [("dummy", True)]
+
+
 async def test_a_goal_from_before_the_computer_was_suspended_has_ended(hand: Hand) -> None:
     async with pausing(hand) as rig:
         rig.loop.submit(goal_of("fist"))
