@@ -51,9 +51,9 @@ CLOSE_WITHIN = 1.0
 """Time that closing may take [s]: a run ends even if a bus hangs."""
 
 LOST_AFTER = 0.5
-"""A device that has not answered for this long, and three times in a row, is lost [s]: longer than
-a bus takes to retry, and barely noticeable to a person. If three deadlines take longer, that is the
-time, even if the driver gives up sooner."""
+"""A device with which no exchange succeeded for this long, and three in a row failed, is lost [s],
+even if it still answers readings: longer than a bus takes to retry, and barely noticeable to a
+person. If three deadlines take longer, that is the time, even if the driver gives up sooner."""
 
 LEAST_DEADLINE = 0.05
 """An exchange is abandoned after two of its periods, but not before this time [s]: a busy computer
@@ -156,6 +156,7 @@ class DeviceConnection:
         # Connect at the first tick.
         self._next_at = -math.inf
         self.answered = -math.inf
+        self._done_at = self._given_at = -math.inf
         self._given: FloatArray | None = None
         self._behind = False
         self._said: tuple[str, ...] = ()
@@ -175,7 +176,6 @@ class DeviceConnection:
 
     async def exchange(self, reference: Reference | None) -> None:
         """Read the state, then send the reference if there is one; cannot raise."""
-        before, missed = self.answered, self.counters.in_row
         try:
             # Sense first: the controller's next input must not wait for sending.
             self.accept(await self._driver.sense())
@@ -184,29 +184,39 @@ class DeviceConnection:
                 raise TimeoutError("no answer within the deadline")
             # A request may have made the device inactive since the reference was handed over.
             if reference is not None and self.lifecycle is Lifecycle.ACTIVE:
-                if missed or self._behind:
-                    reference = self._within_reach(reference, self.answered - before)
-                self._given = reference.position
-                await self._driver.move(reference)
+                await self._give(reference)
         except Exception as error:
             await self.failed(error)
         else:
+            self._done_at = self.answered
             self.counters.exchanges += 1
             self.counters.in_row = 0
 
-    def _within_reach(self, reference: Reference, passed: float) -> Reference:
+    async def _give(self, reference: Reference) -> None:
+        """Send a reference, within reach of the last one that the device is known to have."""
+        if self.counters.in_row or self._behind:
+            reference = self._within_reach(reference)
+        position, given = reference.position, self._given
+        try:
+            await self._driver.move(reference)
+        except BaseException:
+            # It may have arrived or not: only where none was known, the next ones start from it.
+            self._behind = True
+            if given is not None:
+                position = readonly(np.where(np.isnan(given), position, given))
+            self._given = position
+            raise
+        self._given, self._given_at = position, self.answered
+
+    def _within_reach(self, reference: Reference) -> Reference:
         """Return a reference that the device reaches without a jump after missed exchanges.
 
         Meanwhile, the loop's reference has moved on; the device catches up with it within the
         velocity limits.
-
-        Args:
-            reference: The loop's reference.
-            passed: Time since the last one [s].
         """
         if self._given is None:
             return reference
-        most = reference.max_velocity * min(passed, self.deadline)
+        most = reference.max_velocity * min(self.answered - self._given_at, self.deadline)
         # `fmin` and `fmax` prefer a number to NaN, which stands for a reference that was started.
         near = np.fmax(np.fmin(reference.position, self._given + most), self._given - most)
         self._behind = bool((near != reference.position).any())
@@ -270,6 +280,7 @@ class DeviceConnection:
         await self._driver.configure()
         self._pace()
         self.accept(await self._driver.sense())
+        self._done_at = self.answered
         self._next_at = -math.inf
         self.counters.in_row = 0
         self.lifecycle = Lifecycle.INACTIVE
@@ -408,7 +419,7 @@ class DeviceConnection:
         self.counters.in_row += 1
         self.message = _words(error)
         # Both: at 1 kHz, three misses are a hiccup; for a slow device, half a second is one.
-        silence = self._now() - self.answered
+        silence = self._now() - self._done_at
         if self.counters.in_row >= 3 and silence >= max(LOST_AFTER, 3 * self.deadline):
             await self._lose(error)
 

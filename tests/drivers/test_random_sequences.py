@@ -27,7 +27,7 @@ from rtee.buses.simulated_time import SimulatedTimeLoop
 from rtee.commands import StreamTargets
 from rtee.drivers.base import Driver
 from rtee.drivers.registry import find_driver
-from rtee.errors import RteeError
+from rtee.errors import BusTimeout, RteeError
 from rtee.hand.config_schema import Behaviour
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop, bring_to_rest, drive
@@ -66,11 +66,12 @@ class Witness:
 
     Attributes:
         how: What is wrong with the measurements; a key of `WRONG`.
+        deaf: Whether references get lost, though measurements arrive.
         faults: What should not have happened.
     """
 
     def __init__(self, driver: Driver, device: Supervisor) -> None:
-        self.how = ""
+        self.how, self.deaf = "", False
         self.faults: list[str] = []
         self.device = device
         self._actuators = device.spec.actuators
@@ -116,6 +117,8 @@ class Witness:
         now, position = monotonic.now(), reference.position
         if self._stopping:
             self.faults.append(f"{now:.3f}: a reference while the device is being stopped")
+        if self.deaf:
+            raise BusTimeout(self.device.name, "lost")
         if not self._known:
             self.faults.append(f"{now:.3f}: a reference before the first measurement")
         for i, actuator in enumerate(self._actuators):
@@ -297,15 +300,24 @@ class Play:
     async def measure_wrongly(self) -> None:
         self.chance.choice(self.witnesses).how = self.chance.choice([*WRONG])
 
+    async def lose_references(self) -> None:
+        self.chance.choice(self.witnesses).deaf = True
+
     async def measure_rightly(self) -> None:
         for witness in self.witnesses:
-            witness.how = ""
+            witness.how, witness.deaf = "", False
 
     async def pause(self) -> None:
         """Let the loop miss its ticks, as if the process had been stopped."""
         loop = asyncio.get_running_loop()
         assert isinstance(loop, SimulatedTimeLoop)
         loop._time += self.chance.choice((0.05, 0.3, 0.9, 2.0, 20.0))
+
+    async def suspend(self) -> None:
+        """Suspend the computer: its clock stands still meanwhile."""
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, SimulatedTimeLoop)
+        loop.suspended += self.chance.choice((0.3, 2.0, 3600.0))
 
     async def set_grip(self) -> None:
         await self.loop.set_gains({"grip_effort": self.chance.choice((0.0, 0.5, 1.0))})
@@ -331,8 +343,10 @@ OFTEN: dict[Callable[[Play], Awaitable[None]], int] = {
     Play.disturb: 2,
     Play.power_cycle: 1,
     Play.measure_wrongly: 2,
+    Play.lose_references: 2,
     Play.measure_rightly: 4,
     Play.pause: 2,
+    Play.suspend: 1,
     Play.set_grip: 1,
 }
 

@@ -27,6 +27,7 @@ from rtee.hand.config_schema import Behaviour, SafetySettings
 from rtee.hand.model import Hand
 from rtee.loop.handloop import HandLoop, bring_to_rest
 from rtee.loop.settings import LoopSettings
+from rtee.loop.supervisor import LOST_AFTER, Supervisor
 from rtee.sample import ActuatorState
 from rtee.types import DeviceStatus, Goal, Intensity, Lifecycle, Named, Reference
 
@@ -43,6 +44,8 @@ class Trouble(KinematicDriver):
     Attributes:
         errors: Raised by the next exchanges, one each.
         hang: How many event loop turns an exchange takes; infinite: it never comes back.
+        deaf: Whether references get lost.
+        arrived: The references that it got.
         log: The calls it got.
     """
 
@@ -52,6 +55,8 @@ class Trouble(KinematicDriver):
         self.refuse: list[Exception] = []
         self.refuse_active: Exception | None = None
         self.hang: float = 0
+        self.deaf = False
+        self.arrived: list[Reference] = []
         self.log: list[str] = []
 
     async def configure(self) -> None:
@@ -77,6 +82,9 @@ class Trouble(KinematicDriver):
 
     async def move(self, reference: Reference) -> None:
         self.log.append("move")
+        if self.deaf:
+            raise BusTimeout("dummy", "noise")
+        self.arrived.append(reference)
         await super().move(reference)
 
     async def stop(self) -> None:
@@ -110,6 +118,44 @@ async def test_lost_packets_are_counted_and_nothing_else_happens(hand: Hand) -> 
         assert status(rig).lifecycle is Lifecycle.ACTIVE
         stale = sum(not record.fresh.any() for record in rig.watcher.records)
         assert 100 <= stale <= 102
+
+
+@pytest.mark.parametrize("seconds", [0.2, 0.7])
+async def test_a_device_that_only_misses_references_catches_up_without_a_jump_or_is_lost(
+    hand: Hand, seconds: float
+) -> None:
+    settings, driver = trouble(hand)
+    arrived = driver.arrived
+    async with running(hand, None, [(settings, driver)]) as rig:
+        rig.loop.submit(Goal(Named("fist"), speed=0.5))
+        await rig.run(0.3)
+        before, driver.deaf = len(arrived) - 1, True
+        await rig.run(seconds)
+        driver.deaf = False
+        if seconds > LOST_AFTER:
+            assert "device_lost" in rig.watcher.kinds()
+            await rig.run(1.0)
+            assert len(arrived) == before + 1
+            return
+        assert (await rig.result()).reached
+        steps = np.abs(np.diff([each.position for each in arrived[before:]], axis=0))
+        top = np.array([0.5 * actuator.velocity for actuator in hand.actuators])
+        assert (steps[0] <= 0.05 * top * (1 + 1e-6)).all()
+        assert (steps[1:] <= top / rig.clock.rate * (1 + 1e-6)).all()
+
+
+async def test_a_started_reference_that_did_not_arrive_is_where_the_next_one_starts(
+    hand: Hand,
+) -> None:
+    settings, driver = trouble(hand)
+    link = Supervisor(settings, driver, (0, 1, 2, 3), lambda _: None).connection
+    await link.connect()
+    first = Reference.at([0.1] * 4, max_velocity=[1.0] * 4)
+    await link.exchange(first)
+    link.restart((0,))
+    driver.deaf = True
+    await link.exchange(Reference.at([0.5] * 4, max_velocity=[1.0] * 4))
+    assert link.last(first).position.tolist() == [0.5, 0.1, 0.1, 0.1]
 
 
 @pytest.mark.parametrize("ends", ["goal", "stop", "run"])
