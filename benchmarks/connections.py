@@ -28,7 +28,7 @@ from common import Table, command_line, own
 import rtee
 from rtee.errors import NoHand
 from rtee.remote.access import access_control
-from rtee.remote.directory import running
+from rtee.remote.directory import hands_running
 from rtee.remote.session import direct, open_client, open_server
 from rtee.running.prepare import RunOptions
 
@@ -94,7 +94,7 @@ def accepting(kind: str, hand: str, folder: Path) -> Iterator[tuple[subprocess.P
         else:
             with rtee.connect_blocking(hand, wait=30.0) as remote:
                 remote.ready()
-            yield process, running()[hand].endpoints[0]
+            yield process, hands_running()[hand].endpoints[0]
         assert process.stdin is not None
         process.stdin.close()
 

@@ -124,6 +124,7 @@ class Row:
     opening_error: float | None = None
     force_said: float | None = None
     force_error: float | None = None
+    shortfall: str = ""
 
     @property
     def soft_enough(self) -> bool:
@@ -134,6 +135,11 @@ class Row:
     def offs(self) -> tuple[float, float]:
         """By which share the least and the largest force are off."""
         return self.low / self.force - 1.0, self.high / self.force - 1.0
+
+    @property
+    def weak(self) -> bool:
+        """Whether the force is always less than the one asked for, by more than `NEAR`."""
+        return self.offs[1] < -NEAR
 
     @property
     def said_right(self) -> bool | None:
@@ -205,6 +211,7 @@ def tried(ready: TrialBench, hand: str, part: str, case: Case) -> Row:
         opening_error=result.opening_error,
         force_said=result.force,
         force_error=result.force_error,
+        shortfall=result.shortfall,
     )
 
 
@@ -225,7 +232,8 @@ def tables(rows: Sequence[Row]) -> None:
     print("\nThe blow, the force and the width.\n")
     table = Table(
         "hand", "sensors", "held", "peak within", "worst peak / asked", "force within 10 %", "off",
-        "within its ±", "opening within its ±", "width within", "width off mm",
+        "less: said so", "said to be less: is", "within its ±", "opening within its ±",
+        "width within", "width off mm",
     )  # fmt: skip
     for hand, numb in groups:
         some = [r for r in done if (r.hand, r.numb, r.part) == (hand, numb, "force")]
@@ -241,6 +249,8 @@ def tables(rows: Sequence[Row]) -> None:
             f"{max(r.peak / r.force for r in some):.2f}",
             rate([max(map(abs, r.offs)) <= NEAR for r in got]),
             span([off for r in got for off in r.offs], "+.0%"),
+            rate([bool(r.shortfall) for r in got if r.weak]),
+            rate([r.high < r.force for r in got if r.shortfall]),
             rate([right for r in got if (right := r.said_right) is not None]),
             rate([right for r in got if (right := r.met_right) is not None]),
             rate([abs(w) <= (ROUND if thing == CaseObject.SPHERE else FLAT) for thing, w in wide]),

@@ -67,7 +67,7 @@ from rtee.messages.convert import STREAM_TARGETS
 from rtee.messages.requests import Role
 from rtee.remote import authority, credentials
 from rtee.remote.client import stop_hand
-from rtee.remote.directory import running
+from rtee.remote.directory import hands_running
 from rtee.remote.server import Server
 from rtee.remote.session import host_of, open_client
 from rtee.remote.stopping import stop_at, stop_path
@@ -252,7 +252,7 @@ Send = Callable[[], Awaitable[dict[str, bool]]]
 
 async def here() -> dict[str, bool]:
     """Stop the hand as `rtee stop` does on this computer."""
-    path = stop_path(running()["small"].endpoints[0])
+    path = stop_path(hands_running()["small"].endpoints[0])
     assert path is not None
     return await anyio.to_thread.run_sync(stop_at, path, "small", "benchmark")
 
@@ -314,7 +314,7 @@ async def measure(
         "attack", "to the last reference [ms]", "to the answer [ms]", "confirmed", widths=(12,)
     )
     cases = [(), *((kind,) for kind in ATTACKS if only in kind), ATTACKS]
-    while "small" not in running():
+    while "small" not in hands_running():
         await anyio.sleep(0.1)
     await anyio.sleep(2.0)
     for case in cases:

@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from rtee.types import Opening as Opening
     from rtee.types import Outcome as Outcome
     from rtee.types import Result as Result
+    from rtee.types import Shortfall as Shortfall
     from rtee.types import Stage as Stage
     from rtee.types import TipSpeed as TipSpeed
 
@@ -86,7 +87,7 @@ _NAMES = {
     "rtee.trials.batch": "run_trials",
     "rtee.trials.result": "Trial TrialResult",
     "rtee.types": "Around Event EventKind Feedback Fingers FirstContact Force Goal Intensity Named"
-    " OnContact Opening Outcome Result Stage TipSpeed",
+    " OnContact Opening Outcome Result Shortfall Stage TipSpeed",
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
 _EXTRAS = {"grasp_plan": "extract", "run_trials": "sim"}

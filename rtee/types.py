@@ -339,6 +339,20 @@ class Outcome(StrEnum):
 EARLY: Final = (Outcome.ABORTED, Outcome.CANCELLED, Outcome.PREEMPTED, Outcome.TIMED_OUT)
 """Outcomes of goals that ended early, which say nothing about an object."""
 
+
+class Shortfall(StrEnum):
+    """Why the force on what is held is less than the requested one; no reason is false."""
+
+    NONE = ""
+    """It is not less, by more than its error, or this is not known."""
+    END_OF_MOTION = "end_of_motion"
+    """The fingers have closed as far as the action lets them, and could exert more."""
+    EFFORT_LIMIT = "effort_limit"
+    """The actuators exert as much as they may."""
+    UNKNOWN = "unknown"
+    """Neither is known to be the case."""
+
+
 _SUCCESS = frozenset({Outcome.HELD, Outcome.TOUCHED, Outcome.REACHED, Outcome.CLOSED})
 
 
@@ -632,6 +646,8 @@ class Result(Value):
         force_error: Error of the estimate [N].
         force_source: Source of the estimate: ``device`` (the force that it measures, by its data
             sheet), ``tip forces``, ``effort`` or ``effort limit``.
+        force_asked: The force that the goal asked for [N]; ``None``: none.
+        shortfall: Why the force on what is held is less than that, by more than its error.
         within: Whether the hand holds an object of the requested width, within the tolerance;
             ``None``: the goal gave no width, or the opening was not measured.
         touched: Fingers with a reaction to contacts that touched something.
@@ -660,6 +676,8 @@ class Result(Value):
     force: float | None = None
     force_error: float | None = None
     force_source: str = ""
+    force_asked: float | None = None
+    shortfall: Shortfall = Shortfall.NONE
     within: bool | None = None
     touched: tuple[str, ...] = ()
     unknown: bool = False

@@ -7,13 +7,10 @@ import re
 from collections.abc import Mapping
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from rtee.errors import GoalRejected, suggestion
 from rtee.values import number
-
-if TYPE_CHECKING:
-    from rtee.types import Result
 
 LENGTH: Final[Mapping[str, float]] = MappingProxyType(
     {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254}
@@ -105,15 +102,3 @@ class AngleUnit(StrEnum):
 
     DEGREE = "degree"
     RADIAN = "radian"
-
-
-def grip_words(result: Result) -> str:
-    """Return the opening of a result in words, and the force on what is held; with errors."""
-    words = f"{1e3 * (result.opening or 0.0):.1f}"
-    if result.grasped and result.opening_error is not None:
-        words += f" ± {1e3 * result.opening_error:.1f}"
-    words += " mm"
-    if result.force is not None and result.grasped:
-        error = 0.0 if result.force_error is None else result.force_error
-        words += f" with {result.force:.1f} ± {error:.1f} N, by the {result.force_source}"
-    return words

@@ -27,7 +27,8 @@ NOTHING: Final = "–"
 def outcome(result: Result) -> tuple[str, str]:
     """Return the outcome of a goal as a sentence and its colour."""
     bad = result.outcome is Outcome.ABORTED
-    return ending(result), GOOD if result.succeeded else BAD if bad else WARN
+    good = result.succeeded and not result.shortfall
+    return ending(result), GOOD if good else BAD if bad else WARN
 
 
 def effort_bar(share: float) -> str:

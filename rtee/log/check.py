@@ -103,14 +103,14 @@ class ReplayCheck:
 
     @property
     def note(self) -> str:
-        """The reasons why references may differ without a fault, a line each; mostly empty."""
+        """Why references and results may differ without a fault, a line each; mostly empty."""
         reasons = []
         if self.rules != contact_rules.VERSION:
             reasons.append(
                 f"recorded with version {self.rules} of the rules of contact, computed with "
                 f"version {contact_rules.VERSION}: after a contact, a stop at which a measurement "
                 "leaped, a stream that ended near a limit, or outside of hand.yaml's limits, "
-                "references may differ on purpose"
+                "references and results may differ on purpose"
             )
         if self.differing:
             reasons.append(f"it {differs(self.differing)}")

@@ -12,7 +12,7 @@ from typing import Final
 
 from rtee.loop.free_motion import FREELY
 
-VERSION: Final = 17
+VERSION: Final = 18
 """Version of these rules, written into recordings: `rtee log replay --check` says when a recording
 was made with other rules."""
 
@@ -179,6 +179,17 @@ def force_rests(share: float, now: float, then: float) -> bool:
     if share <= STRONG:
         return share >= _WEAK
     return not now > STRONG * then
+
+
+def falls_short(force: float, error: float, wanted: float) -> bool:
+    """Return whether a force is less than the requested one, and not only by its error.
+
+    Args:
+        force: The force between the tips [N]; ``NaN``: not known.
+        error: Its error [N]; ``NaN``: not known.
+        wanted: The requested force [N].
+    """
+    return force < _WEAK * wanted and force + error < wanted
 
 
 def may_oppose(felt: bool | None, *, left: float, tolerance: float) -> bool:

@@ -32,6 +32,7 @@ from rtee.types import (
     OnContact,
     Opening,
     Result,
+    Shortfall,
     readonly,
 )
 
@@ -93,6 +94,8 @@ class GripValues(TypedDict, total=False):
     force: float | None
     force_error: float | None
     force_source: str
+    force_asked: float | None
+    shortfall: Shortfall
     within: bool | None
 
 
@@ -320,6 +323,7 @@ class Executor:
         unknown = self._may_be_nothing(run, measured)
         if unknown:
             grasped, fingers = False, ()
+        early = preempted or cancelled or timed_out
         self._emit(
             Result(
                 goal_id=plan.goal_id,
@@ -342,7 +346,7 @@ class Executor:
                 touched=() if unknown else self._reflexes.touched,
                 unknown=unknown,
                 aim=plan.aim,
-                **self._grip_values(run, measured, grasped, aborted),
+                **self._grip_values(run, measured, grasped, aborted, early=early),
             )
         )
 
@@ -458,9 +462,12 @@ class Executor:
         return False
 
     def _grip_values(
-        self, run: _Run, measured: Measured, grasped: bool, aborted: bool
+        self, run: _Run, measured: Measured, grasped: bool, aborted: bool, *, early: bool
     ) -> GripValues:
-        """Return the fields of the result about opening and force of the fingertips."""
+        """Return the fields of the result about opening and force of the fingertips.
+
+        A goal that ended ``early`` had no time to build up the force.
+        """
         plan = run.plan
         grip, to = plan.grip, plan.to
         if grip is None or aborted:
@@ -487,6 +494,9 @@ class Executor:
                 force, error, source = math.nan, math.nan, ""
         elif elsewhere:
             error = max(error, ELSEWHERE * force)
+        asked = None if plan.force is None else plan.force.value
+        wanted = math.nan if early or not grasped or asked is None else asked
+        short = rules.falls_short(force, error, wanted)
         return {
             "elements": plan.elements,
             # A zero of floating point is neither -2.8e-17 nor -0.
@@ -495,8 +505,20 @@ class Executor:
             "force": None if math.isnan(force) else force,
             "force_error": None if math.isnan(error) else error,
             "force_source": source,
+            "force_asked": asked,
+            "shortfall": self._shortfall(plan, measured) if short else Shortfall.NONE,
             "within": within,
         }
+
+    def _shortfall(self, plan: Plan, measured: Measured) -> Shortfall:
+        """Return why the force on what is held is less than the requested one."""
+        effort, limits = measured.effort, self._limits
+        # Of several joints, the one that bears most shows what the limits give.
+        if any(rules.is_bound(effort[i], limits[i]) for i in plan.effort):
+            return Shortfall.EFFORT_LIMIT
+        known = all(effort[i] == effort[i] for i in plan.effort)
+        at_end = known and self._reflexes.at_end
+        return Shortfall.END_OF_MOTION if at_end else Shortfall.UNKNOWN
 
     def _wait(self, run: _Run, stamp: float) -> None:
         run.phase = Phase.BEFORE

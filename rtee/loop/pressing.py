@@ -336,6 +336,11 @@ class Pressing:
         """Whether the force is still being brought to the requested one."""
         return not self.built
 
+    @property
+    def at_end(self) -> bool:
+        """Whether the references have gone as far as they may."""
+        return self._share >= self._furthest - 1e-9 and self._velocity > 0.0
+
     def join(self, i: int) -> None:
         """Let an actuator press together with the others from its present reference on."""
         if i in self._way:
@@ -386,7 +391,7 @@ class Pressing:
                 self._began = stamp  # it was not a contact: continue to the object, or to the end
             self._watch(stamp, measured)
             took = stamp - self._began
-            there = stamp - self._off >= _SETTLE or self._at_end or took >= _LONGEST
+            there = stamp - self._off >= _SETTLE or self.at_end or took >= _LONGEST
             # Where nothing is held, there is nothing to wait for.
             rests = self._still or share < _HOLDS or took >= _LONGEST + _AT_REST
             if there and rests:
@@ -424,11 +429,6 @@ class Pressing:
         if sensed and self._estimate.hunts and not self.answers_slips:
             now = math.inf  # their efforts do not show the force
         return rules.force_rests(share, now, self._by_efforts)
-
-    @property
-    def _at_end(self) -> bool:
-        """Whether the references have gone as far as they may."""
-        return self._share >= self._furthest - 1e-9 and self._velocity > 0.0
 
     @property
     def _furthest(self) -> float:

@@ -197,6 +197,11 @@ class Reflexes:
         return self._squeeze is not None and self._squeeze.building
 
     @property
+    def at_end(self) -> bool:
+        """Whether the references of what squeezes have gone as far as they may."""
+        return self._squeeze is not None and self._squeeze.at_end
+
+    @property
     def felt(self) -> tuple[float, float]:
         """The force between the tips of fingers that keep their posture, and its error [N].
 

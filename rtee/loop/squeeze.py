@@ -183,6 +183,11 @@ class Squeeze:
         """Whether the force is still being built up, or brought to the requested one."""
         return not self.built or self._correcting
 
+    @property
+    def at_end(self) -> bool:
+        """Whether the references have gone as far as they may."""
+        return all(self._profile.position[i] == self._profile.target[i] for i in self.held)
+
     def begin(self, stamp: float) -> None:
         """Begin to build up the force at a time [s]."""
         self._since = self._before = self._enough = stamp

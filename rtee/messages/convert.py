@@ -37,11 +37,17 @@ from rtee.types import (
     Lifecycle,
     LoopStatistics,
     Result,
+    Shortfall,
 )
 
 _STRING = message_type("std_msgs/msg/String")
 
 
+_SHORTFALL = word(
+    "shortfall",
+    Shortfall,
+    "shortfall '{:.50}' must be end_of_motion, effort_limit, unknown or empty",
+)
 _AIM = word("aim", Aim, "aim '{:.50}' must be posture, object or contact")
 
 FEEDBACK = Codec(
@@ -65,6 +71,8 @@ RESULT = Codec(
     ),
     force=optional("force"),
     force_error=optional("force_error"),
+    force_asked=optional("force_asked"),
+    shortfall=_SHORTFALL,
     within=As(
         {"within": lambda within: -1 if within is None else int(within)},
         lambda number: None if number < 0 else number == 1,

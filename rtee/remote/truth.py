@@ -101,6 +101,7 @@ class Truth:
         self._received = -math.inf
         self._since = ""
         self._fingers: tuple[str, ...] = ()
+        self._asked = ""  # the force that the goal asked for, if what is held is held with less
         self._word = False  # the devices' own report of a grasp
         self._doubted = False  # by the last result, the force may be that of the hand on itself
         self._over = ""  # the goal that ended last, which the status may still call running
@@ -151,6 +152,7 @@ class Truth:
         self._over = result.goal_id
         self._turn(result.action, result.goal_id)
         self._doubted = result.unknown
+        self._asked = f" of {result.force_asked:.1f} N asked" if result.shortfall else ""
         if result.grasped:
             self._fingers = result.grasped_fingers
             self._conclude(HeldObject.HOLDING)
@@ -199,7 +201,8 @@ class Truth:
             self.grip, self._since = grip, clock()
             if grip is HeldObject.LOST:
                 self._turn("part lost")
-            self._fingers = self._fingers if grip is HeldObject.HOLDING else ()
+            if grip is not HeldObject.HOLDING:
+                self._fingers, self._asked = (), ""
 
     # --- sentences
 
@@ -250,7 +253,7 @@ class Truth:
             return Words(f"no data from {', '.join(each.name for each in self.ill)}", Tone.BAD)
         match self.grip:
             case HeldObject.HOLDING:
-                return Words(f"holding{self._measures()}", Tone.GOOD)
+                return Words(f"holding{self._measures()}", Tone.WARN if self._asked else Tone.GOOD)
             case HeldObject.LOST:
                 who = f" by {', '.join(self._fingers)}" if self._fingers else ""
                 return Words(f"part lost{who} {self._since}", Tone.BAD)
@@ -265,7 +268,8 @@ class Truth:
             words.append(f"{1e3 * state.opening:.1f} mm")
         if state is not None and state.force is not None:
             source = "tip sensors" if state.force_source == "tip forces" else state.force_source
-            words.append(f"{state.force:.1f} ± {state.force_error or 0.0:.1f} N ({source})")
+            force = f"{state.force:.1f} ± {state.force_error or 0.0:.1f} N"
+            words.append(f"{force}{self._asked} ({source})")
         elif self._fingers:
             words.append(f"by {', '.join(self._fingers)}")
         return " · ".join(words)

@@ -106,7 +106,7 @@ class GraspAction(ActionPart):
         names = {field.name for field in kind.STRUCTURE.fields}
         fields = {name: getattr(result, name) for name in names if hasattr(result, name)}
         # ROS 2 has no optional fields; a sequence of at most one value takes their place.
-        for name in ("opening", "opening_error", "force", "force_error"):
+        for name in ("opening", "opening_error", "force", "force_error", "force_asked"):
             fields[name] = [] if fields[name] is None else [fields[name]]
         fields["within"] = fields["within"] is True
         fields["position_name"] = list(result.position)

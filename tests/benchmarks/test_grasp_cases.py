@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from rtee.trials.bench import bench
+from rtee.types import Outcome, Shortfall
 
 BENCHMARKS = str(Path(__file__).resolve().parents[2] / "benchmarks")
 sys.path.insert(0, BENCHMARKS)
@@ -183,6 +184,23 @@ def test_fingers_that_met_an_object_before_another_finger_of_their_motor_hold_it
     case = Case(CaseObject.SPHERE, 0.03, 3.0, elements=("thumb", "middle"))
     truth = try_case(bench("qb_softhand", RATE), case)
     assert (truth.said, truth.held) == (True, True)
+
+
+@pytest.mark.parametrize(
+    ("thing", "width", "force", "shortfall"),
+    [
+        (CaseObject.BOX, 0.03, 3.3, Shortfall.END_OF_MOTION),
+        (CaseObject.SPHERE, 0.07, 2.8, Shortfall.NONE),
+    ],
+)
+def test_a_motor_that_can_close_no_further_says_that_its_force_is_less(
+    thing: CaseObject, width: float, force: float, shortfall: Shortfall
+) -> None:
+    truth = try_case(bench("qb_softhand", RATE), Case(thing, width, force))
+    assert truth.held
+    assert (truth.result.outcome, truth.result.force_asked) == (Outcome.HELD, force)
+    assert truth.result.shortfall is shortfall
+    assert (truth.high < 0.9 * force) is bool(shortfall)
 
 
 def test_fingers_that_snap_past_an_object_say_that_it_is_lost() -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import fcntl
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from rtee.actions.types import (
     PrimitiveKind,
 )
 from rtee.errors import ConfigError
-from rtee.gui.colours import line_colour, line_dash, link_colours, ramp, rgb
+from rtee.gui.colours import GOOD, WARN, line_colour, line_dash, link_colours, ramp, rgb
 from rtee.gui.history import LONGEST, POINTS, StateHistory, nice_range
 from rtee.gui.panels.actions import grouped
 from rtee.gui.panels.header import device_line
@@ -33,7 +34,19 @@ from rtee.remote.hand_info import info_fields, info_of
 from rtee.remote.model import from_info
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.store import write_results
-from rtee.types import DeviceStatus, Lifecycle, Result
+from rtee.types import DeviceStatus, Lifecycle, Result, Shortfall
+
+WEAK = Result(
+    "1",
+    "a",
+    grasped=True,
+    grasped_fingers=("index",),
+    force=1.1,
+    force_error=0.3,
+    force_source="tip forces",
+    force_asked=4.0,
+    shortfall=Shortfall.END_OF_MOTION,
+)
 
 
 @pytest.fixture(scope="module")
@@ -116,10 +129,25 @@ def test_a_use_is_described_as_people_write_it() -> None:
         (Result("1", "a", timed_out=True), "timed out"),
         (Result("1", "a", stalled=True), "stalled"),
         (Result("1", "a", aborted=True, reason="the link is lost"), "aborted: the link is lost"),
+        (
+            replace(WEAK, shortfall=Shortfall.NONE, opening=0.03, opening_error=0.0013),
+            "held by index at 30.0 ± 1.3 mm with 1.1 ± 0.3 N, by the tip forces",
+        ),
+        (
+            WEAK,
+            "held by index with 1.1 ± 0.3 N of 4.0 N asked, by the tip forces: the fingers are at"
+            " the end of their motion",
+        ),
     ],
 )
 def test_a_result_is_said_in_words(result: Result, words: str) -> None:
     assert outcome(result)[0] == words
+
+
+def test_a_force_that_is_less_than_the_requested_one_is_no_plain_success() -> None:
+    assert WEAK.succeeded
+    assert outcome(replace(WEAK, shortfall=Shortfall.NONE))[1] == GOOD
+    assert outcome(WEAK)[1] == WARN
 
 
 def test_a_device_line_says_fault_and_hint_and_escapes_them() -> None:

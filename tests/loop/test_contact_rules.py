@@ -169,6 +169,15 @@ def test_a_small_share_of_the_force_is_faint() -> None:
     assert rules.faint(0.0, 3.1)  # one side feels nothing
 
 
+def test_a_force_falls_short_by_more_than_its_error_and_than_is_corrected() -> None:
+    assert rules.falls_short(3.0, 0.5, 4.0)
+    assert not rules.falls_short(3.0, 1.0, 4.0)
+    assert not rules.falls_short(3.8, 0.1, 4.0)  # such a force is not raised again
+    assert not rules.falls_short(math.nan, 0.1, 4.0)
+    assert not rules.falls_short(3.0, math.nan, 4.0)
+    assert not rules.falls_short(3.0, 0.5, math.nan)
+
+
 def test_what_yields_at_the_end_of_a_grasp_gives_way() -> None:
     assert not rules.gives_way(0.00017)
     assert rules.gives_way(0.0003)

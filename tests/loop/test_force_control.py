@@ -36,6 +36,7 @@ from rtee.types import (
     OnContact,
     Opening,
     Result,
+    Shortfall,
 )
 
 FOLDER = Path(__file__).parents[2] / "config" / "robotiq_2f_85"
@@ -58,6 +59,7 @@ class Gripper:
 
     Attributes:
         opposite: What the sensor on the other side reads for every newton of this one.
+        stiffness: Of its motor against what stops it [N·m/rad].
     """
 
     def __init__(
@@ -78,6 +80,7 @@ class Gripper:
         self.controller = Controller(self.hand, self.settings)
         self.reads, self.friction, self.stops_short = reads, friction, stops_short
         self.opposite = 1.0
+        self.stiffness = STIFFNESS
         self.amperes = amperes
         self.impact, self.since_contact = impact, 0
         self.grip = self.plan(Goal(Named("Grasp"), Opening(width))).grip
@@ -118,7 +121,7 @@ class Gripper:
         if self.limit >= self.friction:
             there = self.reference - math.copysign(self.stops_short, self.reference - self.position)
             self.position = min(there, self.contact)
-        push = STIFFNESS * (self.reference - self.position)
+        push = self.stiffness * (self.reference - self.position)
         self.effort = max(-self.limit, min(push, self.limit))
         touch: list[float] = []
         self.force = 0.0
@@ -234,6 +237,25 @@ def test_a_broken_sensor_changes_the_force_by_a_factor_of_two_at_most(reads: flo
     for _ in range(2000):
         gripper.tick()
     assert 0.45 * wanted <= gripper.limit <= 2.05 * wanted
+
+
+def test_a_result_says_why_the_force_is_less_than_the_requested_one() -> None:
+    enough = Gripper(0.04, reads=1.0).do(grasp(0.04, 40.0))
+    assert (enough.force_asked, enough.shortfall) == (40.0, Shortfall.NONE)
+    weak = Gripper(0.04, reads=0.3).do(grasp(0.04, 40.0))  # with twice the effort, too
+    assert weak.grasped
+    assert weak.force == pytest.approx(24.0, rel=0.05)
+    assert (weak.force_asked, weak.shortfall) == (40.0, Shortfall.EFFORT_LIMIT)
+    soft = Gripper(0.04, reads=1.0)
+    soft.stiffness = 2.0  # of the servo
+    ended = soft.do(grasp(0.04, 40.0))
+    assert ended.grasped
+    assert ended.force < 30.0
+    assert ended.shortfall is Shortfall.END_OF_MOTION
+    soft = Gripper(0.04, reads=1.0)
+    soft.stiffness = 2.0
+    early = soft.do(replace(grasp(0.04, 40.0), timeout=2.0))
+    assert (early.timed_out, early.grasped, early.shortfall) == (True, True, Shortfall.NONE)
 
 
 def test_fingers_from_all_around_may_press_four_times_as_hard_as_their_tips() -> None:

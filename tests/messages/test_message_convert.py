@@ -40,6 +40,7 @@ from rtee.types import (
     Named,
     Opening,
     Result,
+    Shortfall,
     Stage,
     TipSpeed,
     new_goal_id,
@@ -68,6 +69,11 @@ RESULT = Result(
     position={"thumb_flexion": 0.75},
     opening=0.03,
     opening_error=0.001,
+    force=1.5,
+    force_error=0.25,
+    force_source="effort",
+    force_asked=4.0,
+    shortfall=Shortfall.END_OF_MOTION,
 )
 EVENT = Event("mark", "user", "the drill slipped", 99.5, "warning")
 COMMANDS = (
@@ -248,14 +254,24 @@ def test_a_status_written_before_devices_told_their_gains_is_read(text: str) -> 
         older.decode(data[:-9])
 
 
-def test_a_result_written_before_openings_told_their_error_is_read() -> None:
+@pytest.mark.parametrize(
+    ("missing", "read"),
+    [
+        (("opening_error",), {"opening_error": None}),
+        (("force_asked", "shortfall"), {"force_asked": None, "shortfall": Shortfall.NONE}),
+    ],
+)
+def test_a_result_written_before_it_had_all_fields_is_read(
+    missing: tuple[str, ...], read: dict[str, Any]
+) -> None:
     kind = message_type("rtee_msgs/Result")
     fields = kind.decode(convert.RESULT.encode(RESULT))
-    del fields["opening_error"]
-    schema = "".join(row for row in kind.schema.splitlines(True) if "opening_error" not in row)
-    older = recorded_type(kind.name, schema)
-    read = convert.RESULT.of(kind.completed(older.decode(older.encode(fields))))
-    assert read == replace(RESULT, opening_error=None)
+    for name in missing:
+        del fields[name]
+    rows = kind.schema.splitlines(True)
+    older = recorded_type(kind.name, "".join(r for r in rows if not any(n in r for n in missing)))
+    again = convert.RESULT.of(kind.completed(older.decode(older.encode(fields))))
+    assert again == replace(RESULT, **read)
 
 
 def test_a_recorded_definition_that_is_nested_too_deeply_is_refused() -> None:

@@ -12,7 +12,7 @@ from rtee import monotonic
 from rtee.messages.state import State
 from rtee.remote.monitoring import HandStatus
 from rtee.remote.truth import _OLDER, HeldObject, Tone, Truth
-from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics, Result
+from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics, Result, Shortfall
 
 NOTHING = np.full(1, np.nan)
 STATE = State(
@@ -30,6 +30,7 @@ STATE = State(
 )
 PRESSED = replace(STATE, opening=0.0314, force=10.1, force_error=0.5, force_source="tip forces")
 ACTIVE = DeviceStatus("line", "svh", Lifecycle.ACTIVE)
+WEAK = Result("1", "Grasp", grasped=True, force_asked=20.0, shortfall=Shortfall.EFFORT_LIMIT)
 HELD = Result("1", "Grasp", grasped=True, grasped_fingers=("index", "thumb"))
 
 
@@ -58,6 +59,16 @@ def test_what_is_held_is_said_with_its_evidence(truth: Truth) -> None:
     assert truth.held().text.startswith("part lost by index ")
     truth.on_result(Result("2", "Open", reached=True))
     assert truth.held() == ("empty", Tone.PLAIN)
+
+
+def test_a_force_that_is_less_than_the_requested_one_is_said_while_it_holds(truth: Truth) -> None:
+    truth.on_result(WEAK)
+    truth.on_state(PRESSED)
+    words = "holding · 31.4 mm · 10.1 ± 0.5 N of 20.0 N asked (tip sensors)"
+    assert truth.held() == (words, Tone.WARN)
+    truth.on_state(replace(PRESSED, force=0.0, force_error=0.0))
+    truth.on_state(replace(PRESSED, grasped=np.ones(1, np.int8)))  # something else, by the device
+    assert truth.held().text == "holding · 31.4 mm · 10.1 ± 0.5 N (tip sensors)"
 
 
 def test_what_sensors_feel_counts_without_a_result_and_against_one(truth: Truth) -> None:
