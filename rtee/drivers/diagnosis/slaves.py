@@ -90,7 +90,7 @@ async def _onrobot(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Fou
 
 async def _rh56(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
     """Return an RH56 if the slave returns plausible angles, states and temperatures."""
-    from rtee.drivers.inspire_rh56.codec import GAP, REPORT, WORDS, Register, Report
+    from rtee.drivers.inspire_rh56.codec import GAP, REPORT, WORDS, Register, Report, State
     from rtee.drivers.inspire_rh56.link import ModbusLink
 
     link = ModbusLink(bus, unit, ANSWER.get(), 0)
@@ -99,8 +99,9 @@ async def _rh56(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found 
         report = Report.from_bytes(angles + GAP + await link.read(Register.FORCE, REPORT))
     except (BusTimeout, FrameError, ModbusRefusal, CodecError):
         return None
-    # Registers full of zeros would pass for a report, but no motor is at 0 °C.
-    if not all(report.temperatures):
+    # Registers full of zeros would pass for a report, but no motor is at 0 °C. Among other
+    # devices, only published states count.
+    if not all(report.temperatures) or State.OTHER in report.states:
         return None
     protocol = {"protocol": "modbus"} if bus.rtu else {}
     return Found("inspire_rh56", f"Inspire RH56, unit {unit}", {**options, **protocol})

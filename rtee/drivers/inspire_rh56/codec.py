@@ -117,9 +117,10 @@ ERRORS = {
 
 
 class State(IntEnum):
-    """Values of a motor's status byte; 4 is not used.
+    """Values of a motor's status byte.
 
-    After power-up and until its first command, a motor is `UNSET` and has no angle set-point.
+    After power-up and until its first command, a motor is `UNSET` and has no angle set-point. A
+    value without a published meaning is `OTHER`: one motor must not make all measurements invalid.
     """
 
     OPENING = 0
@@ -129,7 +130,12 @@ class State(IntEnum):
     CURRENT_PROTECTION = 5
     LOCKED = 6
     FAULT = 7
+    OTHER = 0xFE
     UNSET = 0xFF
+
+    @classmethod
+    def _missing_(cls, value: object) -> State:
+        return cls.OTHER
 
 
 @dataclass(frozen=True, slots=True)

@@ -146,9 +146,7 @@ def test_a_report_comes_back() -> None:
     assert data[at : at + 6] == bytes(report.states)
 
 
-@pytest.mark.parametrize(
-    ("at", "value"), [(0, b"\x00\x70"), (60, b"\x20"), (66, b"\x04"), (66, b"\x08"), (66, b"\xee")]
-)
+@pytest.mark.parametrize(("at", "value"), [(0, b"\x00\x70"), (60, b"\x20"), (65, b"\xee")])
 def test_what_no_hand_reports_is_refused(at: int, value: bytes) -> None:
     data = bytearray(
         Report((0,) * 6, (0,) * 6, (0,) * 6, (Error(0),) * 6, (State(2),) * 6, (30,) * 6).to_bytes()
@@ -158,6 +156,19 @@ def test_what_no_hand_reports_is_refused(at: int, value: bytes) -> None:
         Report.from_bytes(bytes(data))
     with pytest.raises(CodecError, match="77 bytes are not a report"):
         Report.from_bytes(bytes(data[1:]))
+
+
+@pytest.mark.parametrize("value", [4, 8, 0xEE])
+def test_a_state_without_a_meaning_leaves_the_other_measurements(value: int) -> None:
+    data = bytearray(
+        Report(
+            (500,) * 6, (9,) * 6, (0,) * 6, (Error(0),) * 6, (State(2),) * 6, (30,) * 6
+        ).to_bytes()
+    )
+    data[66] = value
+    report = Report.from_bytes(bytes(data))
+    assert report.states == (State.OTHER, *(State.AT_TARGET,) * 5)
+    assert (report.angles, report.forces) == ((500,) * 6, (9,) * 6)
 
 
 # --- what the numbers stand for -------------------------------------------------------------
