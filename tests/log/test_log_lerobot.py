@@ -325,6 +325,83 @@ def test_marks_another_hand_and_a_folder_that_is_there(
     assert "exists already" in said(demonstrations, out=tmp_path)
 
 
+def _seen(path: Path) -> list[int]:
+    """Read the times and the images of all cameras in a file."""
+    at = np.arange(0, GONE, EVERY) * round(1e9 / RATE) + WALL
+    numbers = []
+    for camera in cameras_in([path]):
+        camera.availability(30.0)
+        numbers += [number_in(frame) for frame in camera.newest(at)]
+    return numbers
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_damaged_files_of_cameras_are_one_sentence(filmed: Path, tmp_path: Path, seed: int) -> None:
+    whole, path = filmed.read_bytes(), tmp_path / "damaged.mcap"
+    source = np.random.default_rng(seed)
+    refused = 0
+    for number in range(25):
+        data = bytearray(whole)
+        if number % 5 == 0:
+            del data[source.integers(len(data)) :]
+        else:
+            data[source.integers(len(data))] ^= 1 << source.integers(8)
+        path.write_bytes(data)
+        try:
+            _seen(path)
+        except LogError:
+            refused += 1
+    assert refused >= 10  # no other bit was needed
+
+
+def _filmed(path: Path, *, schema: tuple[str, str, bytes], content: bytes, **options: Any) -> Path:
+    with path.open("wb") as stream:
+        writer = Writer(stream, **options)
+        writer.start()
+        channel = writer.register_channel("/camera", "cdr", writer.register_schema(*schema))
+        writer.add_message(channel, WALL, content, WALL)
+        writer.finish()
+    return path
+
+
+STILL = ("sensor_msgs/msg/CompressedImage", "ros2msg", b"")
+
+
+def _png(width: int, height: int) -> bytes:
+    encoder = av.CodecContext.create("png", "w")
+    encoder.width, encoder.height, encoder.pix_fmt = width, height, "gray"
+    encoder.time_base = Fraction(1, 30)
+    frame = av.VideoFrame(width, height, "gray")
+    data = b"".join(map(bytes, [*encoder.encode(frame), *encoder.encode(None)]))
+    return parse(STILL[0], "std_msgs/Header header\nstring format\nuint8[] data\n").encode(
+        {
+            "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
+            "format": "png",
+            "data": data,
+        }
+    )
+
+
+def test_messages_outside_of_chunks_are_images_too(tmp_path: Path) -> None:
+    path = _filmed(tmp_path / "a.mcap", schema=STILL, content=_png(64, 48), use_chunking=False)
+    assert len(_seen(path)) == len(range(0, GONE, EVERY))
+
+
+def test_small_files_do_not_become_large_images_or_contradict_themselves(tmp_path: Path) -> None:
+    kinds = ("foxglove.CompressedImage", "protobuf")
+    for number, (schema, content) in enumerate(
+        (
+            (STILL, _png(20_000, 4_000)),
+            ((*kinds, b"junk"), b"x"),
+            ((*kinds, b""), b"x"),
+        )
+    ):
+        path = _filmed(tmp_path / f"{number}.mcap", schema=schema, content=content)
+        assert path.stat().st_size < 200_000
+        with pytest.raises(LogError, match=r"an image (in it is damaged|cannot be decoded)"):
+            _seen(path)
+
+
 def test_a_camera_whose_video_begins_in_the_middle(filmed: Path) -> None:
     (camera,) = cameras_in([filmed], ["front=/video"])
     assert camera.name == "front"

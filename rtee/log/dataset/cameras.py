@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import heapq
+import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
+from mcap.opcode import Opcode
 from mcap.records import Schema
 
 from rtee.errors import LogError, MessageError
 from rtee.hand.files import failing
 from rtee.log.dataset.signals import Signal, Times, lasting
+from rtee.log.file_index import FileIndex, index_file
+from rtee.log.record_scanner import LATEST, DamagedRecordError, Record, messages_of, scan
 from rtee.log.rotation import OPEN, being_written
+from rtee.messages.mcap_chunk import LARGEST_CHUNK, records_of
 from rtee.messages.schema import MessageType, parse
 
 _CDR: Final[Mapping[str, str]] = {
@@ -42,6 +46,12 @@ _DECODERS: Final[Mapping[str, str]] = {
     "h265": "hevc",
 }
 """FFmpeg's decoders, by a word in the format of a message."""
+
+_MOST_PIXELS: Final = 64_000_000
+"""Most pixels of an image that is decoded: those of the largest cameras."""
+
+_MESSAGE: Final = struct.Struct("<HIQQ")
+"""Head of a message: channel, number, log time, publish time [ns since 1970]."""
 
 _VIDEO: Final = ("h264", "hevc")
 """The decoders that need every earlier message."""
@@ -85,9 +95,14 @@ class CameraTopic:
     def _messages(self) -> Iterator[tuple[int, Schema, bytes]]:
         """Yield time [ns since 1970], schema and content of the messages, in the order of time."""
         for path in self.paths:
-            with _reading(path) as reader:
-                for schema, _, message in reader.iter_messages(topics=[self.topic]):
-                    yield message.log_time, schema, message.data
+            with _reading(path) as (file, stream):
+                channels = {
+                    number: file.schemas[channel.schema_id]
+                    for number, channel in file.channels.items()
+                    if channel.topic == self.topic and channel.schema_id in file.schemas
+                }
+                for time, _, channel, content in _in_order(file, stream, channels):
+                    yield time, channels[channel], content
 
 
 class _Decoder:
@@ -111,6 +126,7 @@ class _Decoder:
 
             self._codec, self._context = codec, av.CodecContext.create(codec, "r")
             self._context.thread_count = 1  # threads give an image one message later
+            self._context.options = {"max_pixels": str(_MOST_PIXELS)}
         self._waiting = data
         if codec in _VIDEO:
             self._decode()
@@ -151,13 +167,11 @@ def cameras_in(paths: Iterable[Path], chosen: Sequence[str] = ()) -> list[Camera
     """
     topics: dict[str, dict[Path, int]] = {}
     for path in paths:
-        with _reading(path) as reader:
-            summary = reader.get_summary()
-            for channel in summary.channels.values() if summary else ():
-                schema = summary.schemas.get(channel.schema_id)
+        with _reading(path) as (file, _):
+            for channel in file.channels.values():
+                schema = file.schemas.get(channel.schema_id)
                 if schema is not None and schema.name in (*_CDR, *_PROTOBUF):
-                    start = min((c.message_start_time for c in summary.chunk_indexes), default=0)
-                    topics.setdefault(channel.topic, {})[path] = start
+                    topics.setdefault(channel.topic, {})[path] = file.start
     cameras = []
     for each in chosen or topics:
         name, _, topic = each.rpartition("=")
@@ -171,20 +185,70 @@ def cameras_in(paths: Iterable[Path], chosen: Sequence[str] = ()) -> list[Camera
 
 
 @contextlib.contextmanager
-def _reading(path: Path) -> Iterator[Any]:
+def _reading(path: Path) -> Iterator[tuple[FileIndex, BinaryIO]]:
+    """Open a file and index it; raises `LogError` if it is damaged, there or inside the block."""
     with failing("cannot be read", path, LogError), path.open("rb") as stream:
         try:
-            yield make_reader(stream)
-        except McapError as error:
+            file = index_file(path)
+            if file.damage or not file.finished:
+                raise DamagedRecordError(*file.damage[:1])
+            yield file, stream
+        except DamagedRecordError as error:
             unclosed = "is damaged, or was never closed: run `rtee log recover` first"
             raise LogError(OPEN if being_written(path) else unclosed, path=path) from error
+
+
+def _in_order(
+    file: FileIndex, stream: BinaryIO, channels: Iterable[int]
+) -> Iterator[tuple[int, int, int, bytes]]:
+    """Yield the messages of channels by their log time: time, count, channel and content."""
+    places = [(chunk.start, chunk.record) for chunk in file.chunks]
+    if file.loose:
+        loose = (each for each in scan(stream) if each.opcode == Opcode.MESSAGE)
+        places += [(_head(each.read(stream, _MESSAGE.size))[1], each) for each in loose]
+    # Chunks may overlap: a message waits for those of all chunks that begin before it.
+    waiting: list[tuple[int, int, int, bytes]] = []
+    count = size = 0
+    for start, record in sorted(places, key=lambda place: place[0]):
+        while waiting and waiting[0][0] < start:
+            size -= len(waiting[0][3])
+            yield heapq.heappop(waiting)
+        for content in _contents(record, stream):
+            channel, time = _head(content)
+            if channel in channels:
+                count += 1
+                size += len(content) - _MESSAGE.size
+                heapq.heappush(waiting, (time, count, channel, content[_MESSAGE.size :]))
+        if size > 2 * LARGEST_CHUNK:
+            raise LogError("its chunks overlap too much", path=file.path)
+    while waiting:
+        yield heapq.heappop(waiting)
+
+
+def _contents(record: Record, stream: BinaryIO) -> Iterator[bytes]:
+    """Yield the messages in a chunk, or a message outside of chunks."""
+    content = record.read(stream)
+    if record.opcode == Opcode.MESSAGE:
+        yield content
+    else:
+        for _, message in records_of(messages_of(content)[0], Opcode.MESSAGE):
+            yield message
+
+
+def _head(content: bytes) -> tuple[int, int]:
+    """Return channel and log time of a message."""
+    if len(content) < _MESSAGE.size:
+        raise DamagedRecordError("a message is shorter than its head")
+    channel, _, time, _ = _MESSAGE.unpack_from(content)
+    if time > LATEST:
+        raise DamagedRecordError("a message has an impossible time")
+    return channel, time
 
 
 def _image(schema: Schema, content: bytes) -> tuple[str, bytes]:
     """Return the format and the bytes of an image in a message."""
     if schema.encoding == "protobuf":
-        message = _protobuf(schema.name, schema.data).FromString(content)
-        return str(message.format), bytes(message.data)
+        return _of_protobuf(schema, content)
     try:
         fields = _cdr(schema.name).decode(content)
     except MessageError as error:
@@ -195,6 +259,18 @@ def _image(schema: Schema, content: bytes) -> tuple[str, bytes]:
 @cache
 def _cdr(name: str) -> MessageType:
     return parse(name, _CDR[name])
+
+
+def _of_protobuf(schema: Schema, content: bytes) -> tuple[str, bytes]:
+    from google.protobuf.message import DecodeError
+
+    try:
+        message = _protobuf(schema.name, schema.data).FromString(content)
+        return str(message.format), bytes(message.data)
+    # Definitions that contradict themselves, that lack the message, or its fields.
+    except (DecodeError, TypeError, KeyError, AttributeError) as error:
+        said = str(error).partition("\n")[0]
+        raise LogError(f"an image cannot be decoded: {said}") from None
 
 
 @cache
