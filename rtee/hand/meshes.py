@@ -6,6 +6,7 @@ import math
 import os
 import re
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Final
 from urllib.parse import unquote
@@ -218,7 +219,31 @@ def why_no_mesh(data: bytes, suffix: str) -> str | None:
         # Entities may expand without bound when the loader parses the file.
         if b"<!ENTITY" in data:
             return "it declares XML entities, which are refused"
+    if suffix in _COUNTS:
+        # The loader makes room for as many as are announced.
+        # Twenty digits are more than any file has bytes.
+        announced = sum(int(count[:20]) for count in _COUNTS[suffix](data))
+        if announced * _LEAST > len(data):
+            return f"it is truncated: {announced} vertices and faces announced in {len(data)} bytes"
     return None
+
+
+_LEAST: Final = 2
+"""Bytes that a vertex, face or other element takes at least, in any format."""
+
+
+def _counts_of_ply(data: bytes) -> list[bytes]:
+    head = data.partition(b"end_header")[0]
+    return re.findall(rb"(?:^|[\r\n])\s*element\s+\S+\s+(\d+)", head)
+
+
+def _counts_of_off(data: bytes) -> list[bytes]:
+    words = (found[1] for found in re.finditer(rb"#.*|(\S+)", data) if found[1])
+    # "OFF", perhaps with letters before it, and then the numbers of vertices and faces.
+    return [word for word in islice(words, 1, 3) if word.isdigit()]
+
+
+_COUNTS: Final = {".ply": _counts_of_ply, ".off": _counts_of_off}
 
 
 def _why_no_stl(data: bytes) -> str | None:

@@ -106,6 +106,13 @@ def test_slips_in_addresses_are_named(urdf: Path, address: str, hint: str) -> No
         ("a.stl", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
         ("a.dae", b"<html/>", "it is not a COLLADA file"),
         ("a.dae", b"<!DOCTYPE c [<!ENTITY a 'b'>]><COLLADA/>", "XML entities, which are refused"),
+        (
+            "a.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 3\nelement face 100000000\nend_header\n0 0 0\n",
+            "it is truncated: 100000003 vertices and faces announced in 78 bytes",
+        ),
+        ("a.off", b"OFF # a\n3 100000000 0\n0 0 0\n", "100000003 vertices and faces announced"),
+        ("a.off", b"OFF\n" + b"9" * 5000 + b" 1 0\n", "vertices and faces announced in 5009"),
         ("a.step", b"ISO-10303", "has the unknown format '.step'"),
     ],
 )
