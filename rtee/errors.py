@@ -125,9 +125,10 @@ class UserError(RteeError):
     def __str__(self) -> str:
         if self.path is None:
             return self.message
+        place = foreign(str(self.path))
         if self.line is None:
-            return f"{self.path}: {self.message}"
-        return f"{self.path}:{self.line}: {self.message}"
+            return f"{place}: {self.message}"
+        return f"{place}:{self.line}: {self.message}"
 
 
 # Errors also derive from the fitting built-in error, which callers may already catch.

@@ -156,6 +156,13 @@ def test_what_a_xacro_makes_is_read_as_any_other(name: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("name", FORBIDDEN)
+def test_paths_in_errors_cannot_command_the_terminal(name: str) -> None:
+    said = str(ConfigError("is wrong", path=Path("logs", name), line=2))
+    assert said == f"{foreign(str(Path('logs', name)))}:2: is wrong"
+    assert said.isprintable()
+
+
+@pytest.mark.parametrize("name", FORBIDDEN)
 def test_devices_and_messages_cannot_write_lines(name: str) -> None:
     identity = Capabilities(identity={name: name}).identity
     writer = Writer(b"\0\1\0\0")

@@ -73,7 +73,7 @@ def _show(summary: RecordingInfo) -> None:
     from rtee.log.info import iso
 
     for path, size in summary.files:
-        print(f"{path}  {size / 1e6:.1f} MB")
+        _print_safely(f"{path}  {size / 1e6:.1f} MB")
     rate = f", {summary.rate:g} Hz" if summary.rate else ""
     _print_safely(f"hand {summary.hand or 'unknown'}{rate}, written by {summary.library}")
     print(
@@ -198,13 +198,13 @@ def plot(
         # `with_suffix` would cut off a part of a name with a dot.
         path = base.with_name(base.name + ".html")
         write_html(drawing, path)
-        print(path)
+        _print_safely(str(path))
     if png:
         from rtee.log.plots import write_png
 
         path = base.with_name(base.name + ".png")
         write_png(drawing, path)
-        print(path)
+        _print_safely(str(path))
         if recording.object_description is not None:
             _write_pictures(recording, base.with_name(base.name + "_object.png"))
 
@@ -217,9 +217,9 @@ def _write_pictures(recording: Recording, path: Path) -> None:
         write_pictures(recording, path)
     # The plots are already written, so a missing picture is not a failure.
     except ConfigError as error:
-        print(f"note: {error}")
+        _print_safely(f"note: {error}")
     else:
-        print(path)
+        _print_safely(str(path))
 
 
 @app.command()
@@ -258,7 +258,7 @@ def export(
         raise LogError(f"--format should be csv, parquet or npz, not '{kind}'")
     pieces = _telling(read_for(_paths(file, series), topic or ()))
     for path in write(pieces, output, Format(kind), topic or ()):
-        print(path)
+        _print_safely(str(path))
 
 
 @app.command()
@@ -305,7 +305,7 @@ def lerobot(
     for name, names in made.names.items():
         _print_safely(f"{name}: {', '.join(names)}")
     count = f"{made.episodes} episode{'s' * (made.episodes != 1)}"
-    print(f"{output}: {count}, {made.frames} frames, {made.frames / fps:.1f} s")
+    _print_safely(f"{output}: {count}, {made.frames} frames, {made.frames / fps:.1f} s")
 
 
 @app.command()
@@ -346,7 +346,7 @@ def _telling(pieces: Iterable[Recording]) -> Iterator[Recording]:
         # Two recordings count as the same by what could be read of them; the notes name the rest.
         for note in piece.notes:
             if note not in told:
-                print(f"note: {note}", file=sys.stderr)
+                print(f"note: {foreign(note)}", file=sys.stderr)
         told.update(piece.notes)
         yield piece
 
@@ -411,7 +411,7 @@ def _show_check(comparison: ReplayCheck, as_json: bool) -> None:
         )
     else:
         for sentence in comparison.damage:
-            print(f"the recording is not as it was written: {sentence}")
+            _print_safely(f"the recording is not as it was written: {sentence}")
         share = f"{comparison.different} of {comparison.values} numbers"
         print(f"{share} differ, by at most {comparison.largest:g}")
         if comparison.first is not None:
@@ -448,7 +448,7 @@ def unpack(
     recording = read(_paths(file, False), only=[ROBOT_DESCRIPTION])
     if recording.hand and (folder / recording.hand).exists():
         raise LogError("exists already; give another folder", path=folder / recording.hand)
-    print(write_hand(recording, folder))
+    _print_safely(str(write_hand(recording, folder)))
 
 
 @app.command()
@@ -485,4 +485,4 @@ def recover(
             text += f"; {sentence}"
         if recovery.damage:
             text += f"; not to be repaired: {', '.join(recovery.damage)}"
-        print(text)
+        _print_safely(text)

@@ -39,7 +39,10 @@ FLIGHT = "flight"
 
 _FIRST = 65536  # bytes that contain the metadata, which follow the header
 _STAMP = r"\d{8}T\d{9}Z"
-_NAME = re.compile(rf"(?P<hand>.+)_(?P<session>{_STAMP})_(?P<part>\d{{3,}}|{FLIGHT})\.mcap")
+# With the characters of a hand's name only: others must not reach a terminal.
+_NAME = re.compile(
+    rf"(?P<hand>[A-Za-z0-9_.-]+)_(?P<session>{_STAMP})_(?P<part>\d{{3,}}|{FLIGHT})\.mcap"
+)
 
 
 def being_written(path: Path) -> bool:

@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -48,6 +49,7 @@ from rtee.log.layout import REPLAY, Replayable
 from rtee.log.playback import fingers, write_hand
 from rtee.log.plots import write_html, write_png
 from rtee.log.recover import recover
+from rtee.log.rotation import paths_of
 from rtee.loop.settings import LoopSettings
 from rtee.messages import topics
 from rtee.types import Event, Goal, Named
@@ -466,6 +468,21 @@ def test_log_info(story: Path) -> None:
     assert "mark: look here" in out
     status, out = run("info", story, "--json")
     assert json.loads(out)["hand"] == "claw"
+
+
+def test_names_of_files_do_not_command_the_terminal(story: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    stamp = "29991231T235959999Z_000"
+    theirs = shutil.copy(story, folder / f"x\x1b]0;evil\x07_{stamp}.mcap")
+    with pytest.raises(LogError, match="there is no recording in this folder"):
+        paths_of(folder)
+    # As `rtee log info *` finds it, too.
+    for words in (["info"], ["plot", "--no-png"], ["recover", "--out", f"{folder}/new\x07.mcap"]):
+        result = CliRunner().invoke(app, [words[0], str(theirs), *words[1:]])
+        assert result.exit_code == 0, result.output
+        assert "\\x07" in result.output
+        assert not {"\x1b", "\x07"}.intersection(result.output)
 
 
 def test_texts_of_a_recording_do_not_command_the_terminal(claw: Hand, tmp_path: Path) -> None:
