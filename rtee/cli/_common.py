@@ -208,9 +208,10 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.
 
 
 _NAME = r"(?:--[\w-]+|[A-Z]+)"
-_PARTNERS = re.compile(rf"(With|Without) ({_NAME}(?:(?:, | or ){_NAME})*): ")
+_NAMES = rf"{_NAME}(?: or {_NAME})*"
+_PARTNERS = re.compile(rf"(?=With)(?:With ({_NAMES}))?(?:(?:, w|W)ithout ({_NAMES}))?: ")
 """Beginning of the help of an option that counts only with one of the options or arguments named,
-or without all of them."""
+without all of them, or both."""
 
 
 class _Command(TyperCommand):
@@ -313,13 +314,12 @@ def _check_partners(ctx: Any, option: Any, given: Sequence[Any]) -> None:
     if match is None:
         return
     named = {name for other in given for name in (*other.opts, _plain(other.metavar))}
-    names = re.findall(_NAME, match[2])
-    present = [name for name in names if name in named]
-    own = _shown(option)
-    if match[1] == "With" and not present:
-        raise _Misplaced(f"{own} needs {' or '.join(names)}", ctx=ctx)
-    if match[1] == "Without" and present:
-        raise _Misplaced(f"{own} and {present[0]} exclude each other", ctx=ctx)
+    needed, barred = (re.findall(_NAME, each or "") for each in match.groups())
+    if needed and named.isdisjoint(needed):
+        raise _Misplaced(f"{_shown(option)} needs {' or '.join(needed)}", ctx=ctx)
+    for name in barred:
+        if name in named:
+            raise _Misplaced(f"{_shown(option)} and {name} exclude each other", ctx=ctx)
 
 
 def _plain(metavar: str | None) -> str:

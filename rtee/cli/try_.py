@@ -89,8 +89,9 @@ def try_(
             variations; 20 or more find better places, 40 or more look for the middle of where the
             object is held along each axis, too, and take longer; 10 unless given.
         all_: Without --task: all actions with all standard objects; resumable.
-        until (0.01..0.99; RATE): With --all or --variations: leave variations out once the interval
-            lies to one side of this rate, such as 0.7; all are tried unless given.
+        until (0.01..0.99; RATE): With --all or --variations, without --task: leave variations out
+            once the interval lies to one side of this rate, such as 0.7; all are tried unless
+            given.
         again: With --all: repeat trials whose results are known.
         jobs (--jobs; -j; 0..): With --all: processes; 0: one per processor.
         cluster (--cluster; ADDRESS): With --all: a sweep on the Dask cluster with this scheduler.

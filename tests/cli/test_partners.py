@@ -36,6 +36,11 @@ from rtee.cli.main import main
         ("try schunk_svh Grasp --reflexes", "--reflexes needs --task"),
         ("try schunk_svh Grasp --jobs 2", "--jobs needs --all"),
         ("try schunk_svh --all --mass 1", "--mass and --all exclude each other"),
+        ("try schunk_svh Grasp --until 0.7", "--until needs --all or --variations"),
+        (
+            "try schunk_svh Grasp --task egg --variations 2 --until 0.7",
+            "--until and --task exclude each other",
+        ),
         ("doctor ''", "HAND is empty"),
         ("doctor --files ''", "--files is empty"),
         ("doctor --files=", "--files is empty"),

@@ -18,7 +18,6 @@ from rtee.cli._common import app_of
 from rtee.cli.try_ import try_
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
-from rtee.errors import ConfigError
 from rtee.hand.load import load_hand
 from rtee.objects.shape import parse_object
 from rtee.planning.objects import read_object
@@ -402,5 +401,6 @@ def test_tries_that_decide_nothing_are_left_out(monkeypatch: pytest.MonkeyPatch)
 
 def test_a_sweep_takes_no_friction_of_its_own() -> None:
     words = [GRIPPER, "--all", "--friction", "0.5"]
-    with pytest.raises(ConfigError, match="--all varies the usual friction"):
-        CliRunner().invoke(app_of(try_), words, catch_exceptions=False)
+    outcome = CliRunner().invoke(app_of(try_), words)
+    assert outcome.exit_code == 2
+    assert "--friction and --all exclude each other" in outcome.output
