@@ -228,6 +228,9 @@ class _Command(TyperCommand):
         """Parse the arguments; raise `typer.BadParameter` for those that are refused."""
         empty = any(word == "" or re.fullmatch("--[a-z-]+=", word) for word in args)
         rest = super().parse_args(ctx, self._with_hand(self._with_wait(args)))
+        # A line that a shell completes is not finished.
+        if ctx.resilient_parsing:
+            return rest
         given = [each for each in self.params if _is_given(ctx, each)]
         for option in given:
             _check_partners(ctx, option, given)

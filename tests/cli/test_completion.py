@@ -28,6 +28,8 @@ def completed(*words: str) -> list[str]:
         (["do", "PinchTight", "index", ""], ["pinky", "ring", "thumb"]),
         (["compose", "fist", "trig:ri"], ["trig:ring"]),
         (["generic", "point", "left_hand_Pi"], ["left_hand_Pinky="]),
+        # The option that --ideal needs is not typed yet.
+        (["run", "schunk_svh", "--ideal", "--emu"], ["--emulated"]),
     ],
 )
 def test_bash(words: list[str], found: list[str]) -> None:
