@@ -113,6 +113,11 @@ _BALANCES: Final = (0.3, 0.6)
 """Shares of the fingers' pressing that must balance on the object: below the first, the table bears
 most of it, and the object is pushed away once it is lifted; above the second, it stays."""
 
+_SQUARE: Final = (0.42, 0.73)
+"""Cosines between a finger's motion and the normal of its contact: 65 and 43 degrees, the angles at
+which two tips reach the shares above. A finger that moves along a surface slides on it; then only
+forces sideways, which no motor makes, could hold the object."""
+
 _SINKS: Final = (2.5e-3, 5e-3)
 """Distances by which a force of the size of its weight moves an object in the hand [m]: up to the
 first, half of the slip of an object that counts as held, it is safe; beyond the second, all of it,
@@ -389,7 +394,8 @@ class Planner:
 
     def _hope(self, search: Search, closure: Closure) -> float:
         """Return the sum of a grasp's promise and of how squarely its sides press."""
-        return self.promise(closure) + 2.0 * self._squareness(search, closure)
+        maps = self.scene.torques(closure.u, closure.contacts)
+        return self.promise(closure) + 2.0 * self._squareness(search, closure, maps)
 
     def _pressed(self, search: Search, closure: Closure) -> tuple[PressingForces, FloatArray]:
         """Return the forces of fingers that grasp with a force, and the maps of their contacts."""
@@ -417,29 +423,39 @@ class Planner:
         firm = 1.0 - _ramp(sunk(held, maps, self._gains, arms, normals, weight), _SINKS)
         if search.meet_first(closure):
             firm *= _MEETING
-        near = [
-            None if found is None else search.pressing(found)
-            for found in closed_nearby(grasp.closing, grasp.candidate)
-        ]
-        shares = [0.0 if found is None else self._pressed(search, found)[0].share for found in near]
-        shares.append(pressed.share)
-        return firm * sum(_ramp(share, _BALANCES) for share in shares) / len(shares)
+        stays = [self._stays(search, closure, pressed, maps)]
+        for beside in closed_nearby(grasp.closing, grasp.candidate):
+            found = None if beside is None else search.pressing(beside)
+            stays.append(
+                0.0 if found is None else self._stays(search, found, *self._pressed(search, found))
+            )
+        return firm * sum(stays) / len(stays)
 
-    def _squareness(self, search: Search, closure: Closure) -> float:
+    def _stays(
+        self, search: Search, closure: Closure, pressed: PressingForces, maps: FloatArray
+    ) -> float:
+        """Return how surely an object stays where fingers press on it, 0 to 1.
+
+        Their forces must balance, and no side may slide along it.
+        """
+        square = self._squareness(search, closure, maps)
+        return min(_ramp(pressed.share, _BALANCES), _ramp(square, _SQUARE))
+
+    def _squareness(self, search: Search, closure: Closure, maps: FloatArray) -> float:
         """Return the least cosine between a side's motion and the normal of its contact.
 
-        Of each side, the finger that presses most squarely counts; 0 without an opening.
+        Of each side, the finger that presses most squarely counts; 0 without an opening. The maps
+        are those of the first contacts.
         """
         if search.opening is None:
             return 0.0
-        knots = search.closing.path.knots
-        maps = self.scene.torques(closure.u, closure.contacts)
+        knots, contacts = search.closing.path.knots, closure.contacts[: len(maps)]
         motions = np.einsum("kaj,a->kj", maps, knots[-1] - knots[0])
-        normals = np.array([contact.normal for contact in closure.contacts])
+        normals = np.array([contact.normal for contact in contacts])
         sizes = np.maximum(np.linalg.norm(motions, axis=1), 1e-9)
         cosines = np.einsum("kj,kj->k", motions, normals) / sizes
         best = dict.fromkeys(search.opening.fingers, 0.0)
-        for contact, cosine in zip(closure.contacts, cosines.tolist(), strict=True):
+        for contact, cosine in zip(contacts, cosines.tolist(), strict=True):
             best[contact.finger] = max(best.get(contact.finger, 0.0), cosine)
         return min(max(best[finger] for finger in side) for side in search.opening.sides)
 

@@ -122,3 +122,15 @@ def test_fingers_that_come_late_are_no_contacts_of_the_plan() -> None:
     assert first.force is not None
     assert first.action != "Grasp"
     assert all(plan.score < first.score for plan in ranking.plans if plan.action == "Grasp")
+
+
+def test_fingers_that_slide_along_an_object_do_not_hold_it() -> None:
+    # This cylinder is hardly wider than the gap between two fingers of a HERI II: they pass it on
+    # either side, and the thumb pushes it out between them. Lost in all tries in simulation.
+    library = load_actions(ROOT / "config/heri_ii")
+    thing = read_object("cylinder:0.0215x0.0508", 0.083)
+    planner = Planner(library.hand, thing, table=ON_TABLE, openings=library.openings)
+    square = planner.plan([library.find("PinchTight", ("finger_2", "thumb"))])[0]
+    passing = planner.plan([library.find("3f_grasp")])[0]
+    assert square[0].score > 0.5
+    assert all(plan.score < 0.1 for plan in passing)
