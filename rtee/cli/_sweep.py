@@ -99,7 +99,8 @@ def meshes_in(objects: Iterable[str], formats: Iterable[str]) -> list[str]:
 
     found: list[str] = []
     for text in objects:
-        if not Path(text).is_dir():
+        # An empty text would be this folder.
+        if not text or not Path(text).is_dir():
             if not (Path(text).suffix or is_shape(text)):
                 raise ConfigError(
                     f"'{text}' is not an object, nor a folder of meshes; write {SHAPES}, or the "

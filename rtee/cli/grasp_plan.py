@@ -40,7 +40,7 @@ def grasp_plan(
 ) -> None:
     """Rank a hand's actions for an object, or for each of several, and say why.
 
-    Exit status 1 when no action can hold one of them.
+    Exit status 1 when no action can hold one of them, or the first choice can't carry it.
 
     Example: rtee grasp-plan schunk_svh --object cylinder:0.03x0.12 --check
 
@@ -104,9 +104,9 @@ def grasp_plan(
             if several:
                 print(f"{text}:")
             _show(ranking, top)
-        # A grasp that lost the object in dynamics is not stored.
+        # A grasp that lost the object in dynamics, or can't carry it, is not stored.
         first = ranking.plans[0] if ranking.plans else None
-        held &= first is not None and (first.check is None or first.check.held)
+        held &= first is not None and (first.check.held if first.check else first.carries)
     if json_:
         print(to_json(documents if several else documents[0], indent=2))
     if not held:
@@ -181,7 +181,9 @@ def _show(ranking: Ranking, top: int) -> None:
             f"it must overhang the table's edge by {first.overhang * 1e3:.0f} mm; the edge "
             f"runs along y of: {_words(first.table or first.pose)}, in the object's frame"
         )
-    if first.force is not None:
+    if not (first.check or first.carries):
+        print(f"{ranking.object} weighs {ranking.mass:g} kg, too much for its best grasp")
+    elif first.force is not None:
         asked = f"--width {first.width * 1e3:.3g}mm --force {first.force:.3g}N"
         words = " ".join((asked, "--action", first.action, *first.elements))
         print(f"to do it: rtee grasp {words}")

@@ -80,6 +80,8 @@ class Question:
             )
         if not 0 < len(self.object) <= _LONGEST_SHAPE:
             raise ConfigError("which object? give its shape, such as sphere:0.03")
+        if not isinstance(self.top, int) or self.top < 1:
+            raise ConfigError(f"at least one grasp must be wanted, not {self.top!r:.100}")
         if not isinstance(self.table, Table | None):
             raise ConfigError(f"a table is a Table(…), not {self.table!r:.100}")
 

@@ -129,6 +129,11 @@ class GraspPlan(Value):
         return " + ".join(written(part) for part in self.parts)
 
     @property
+    def carries(self) -> bool:
+        """Whether it carries the object's weight at full effort."""
+        return self.load >= 1.0
+
+    @property
     def fingers(self) -> tuple[str, ...]:
         """The fingers that touch, each once."""
         return tuple(dict.fromkeys(c.finger for c in self.contacts if c.finger))

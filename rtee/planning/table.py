@@ -16,6 +16,7 @@ from typing import Final
 import coal
 import numpy as np
 
+from rtee.errors import ConfigError
 from rtee.objects.shape import Table
 from rtee.planning.approaches import PoseCandidate
 from rtee.planning.closing import Closure, HandClosing
@@ -116,10 +117,21 @@ class Ground:
             table: The table.
             weight_axis: Direction of the weight ``(3,)`` in the base frame, unless the table gives
                 it.
+
+        Raises:
+            ConfigError: if the whole object is below the table's top.
         """
         self._scene, self._table, self._axis, self.edge = scene, table, weight_axis, False
         up = None if table.up is None else np.array(table.up)
         self.up: FloatArray | None = None if up is None else up / np.linalg.norm(up)
+        if self.up is not None and table.height is not None:
+            highest = float(scene.object.support(self.up[None])[0])
+            if table.height >= highest:
+                raise ConfigError(
+                    f"the table's top is {table.height * 1e3:.0f} mm above the origin of "
+                    f"'{scene.object.name}', whose highest point is at {highest * 1e3:.0f} mm: it "
+                    "would be below the table"
+                )
         points = [shape.points for shape in scene.geometry.shapes]
         self._points = np.concatenate(points)
         self._of = np.repeat(np.arange(len(points)), [len(some) for some in points])

@@ -52,6 +52,16 @@ def test_it_says_which_action_and_why(run: Run) -> None:
     assert "the object in the hand's base frame: x 0 mm" in out
 
 
+def test_what_no_grasp_can_carry_fails_and_is_not_stored(run: Run, folder: Path) -> None:
+    status, out, _ = run("--object", "box:0.03x0.05x0.1", "--mass", "90", "--save", "Block")
+    assert status == 1
+    assert "can't carry the weight" in out
+    assert "weighs 90 kg, too much for its best grasp" in out
+    assert "to do it" not in out
+    library = ActionLibrary.load(load_hand(folder), folder / "actions")
+    assert "Block" not in {action.name for action in library}
+
+
 def test_each_of_several_objects_has_an_answer(run: Run) -> None:
     status, out, _ = run("--object", "sphere:0.02", "--object", "sphere:0.06", "--json")
     first, second = json.loads(out)
@@ -100,6 +110,8 @@ def test_a_name_that_is_taken_is_refused_unless_it_is_to_be_replaced(run: Run) -
     [
         (["--object", "box:0.14x0.2x0.3"], "does not fit: width 140 mm, the hand opens to 8"),
         (["--object", "cone:1x1"], "'cone:1x1' is not an object"),
+        (["--object", ""], "'' is not an object"),
+        (["--object", "sphere:0.02", "--table", "0,0,1,0.03"], "it would be below the table"),
         (["--object", "sphere:-0.1"], "is not an object"),
         (["--object", "sphere:nan"], "is not an object"),
         (["--object", "nothing.stl"], "nothing.stl: no such mesh"),

@@ -27,6 +27,8 @@ CALLS: list[tuple[Callable[[rtee.RemoteHand], Awaitable[Any]], str]] = [
     (lambda hand: hand.grasp_plan(3), "an object is a shape, such as sphere:0.03, not 3"),
     (lambda hand: hand.grasp_plan("drill", weight_axis=3), "must be three finite numbers, not 3"),
     (lambda hand: hand.grasp_plan("drill", mass="heavy"), "must be finite and above 0"),
+    (lambda hand: hand.grasp_plan("drill", top=0), "at least one grasp must be wanted, not 0"),
+    (lambda hand: hand.grasp_plan("drill", top="all"), "at least one grasp must be wanted, not"),
     (lambda hand: hand.grasp_plan("drill", table="yes"), r"a table is a Table\(…\), not 'yes'"),
     (lambda hand: hand.reach(approach=3), "an approach must be three finite numbers, not 3"),
     (lambda hand: hand.reach(fingers=3), "give contacts, or a gripper's pose and a width"),
