@@ -16,16 +16,22 @@ now: Callable[[], float] = time.monotonic
 now_ns: Callable[[], int] = time.monotonic_ns
 """Return the time [ns]."""
 
+_BOOT_TIME: int | None = getattr(time, "CLOCK_BOOTTIME", None)
+"""The clock that also counts while the computer is suspended; only Linux has it."""
+
 
 def _suspended() -> float:
-    clock = time.clock_gettime
-    return clock(time.CLOCK_BOOTTIME) - clock(time.CLOCK_MONOTONIC)
+    """Return the time for which the computer has been suspended, from an unknown beginning [s].
+
+    That time is missing from `now`. 0 where no clock counts it.
+    """
+    if _BOOT_TIME is None:
+        return 0.0
+    return time.clock_gettime(_BOOT_TIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
 
 
-# Only Linux has the second clock, which also counts while the computer is suspended.
-suspended: Callable[[], float] = _suspended if hasattr(time, "CLOCK_BOOTTIME") else lambda: 0.0
-"""Return the time for which the computer has been suspended, from an unknown beginning [s]; that
-time is missing from `now`."""
+suspended: Callable[[], float] = _suspended
+"""See `_suspended`; replaced on simulated time."""
 
 sleep: Callable[[float], None] = time.sleep
 """Block a worker thread for some time [s]."""
