@@ -119,15 +119,19 @@ class ClearSearch:
         self._constraints = Constraints(function, motion, checker)
         self._uncalibrated: list[FloatArray] = []
         self._settled_at: dict[bytes, Minimum] = {}
-        self._cost_limit = 0
+        self._cost_limit, self._floor = 0, np.inf
 
     @property
     def _out_of_budget(self) -> bool:
         """Whether the search has used up its budget for queries on original meshes."""
         return self._scene.query_cost >= self._cost_limit
 
-    def run(self, starts: Sequence[FloatArray]) -> list[FloatArray]:
+    def run(self, starts: Sequence[FloatArray], floor: float = np.inf) -> list[FloatArray]:
         """Return clear poses reached from good starts, those with a clear path first.
+
+        Args:
+            starts: Coordinates ``(k,)`` of good poses, the best first.
+            floor: Value [m] above which starts and clear poses are not followed.
 
         Returns:
             Coordinates ``(k,)`` of clear poses with a clear path, the best first, and then of clear
@@ -136,11 +140,14 @@ class ClearSearch:
         free: list[FloatArray] = []
         behind: list[FloatArray] = []
         self._cost_limit = self._scene.query_cost + _QUERY_BUDGET
+        self._floor = floor
         for _ in range(self._budget.path_rounds):
             if self._out_of_budget:
                 break
             attempts = self._budget.attempts
             clear = self._explore(starts, min(attempts, _FOLLOWED) if behind else attempts)
+            # A clear path only makes them shallower.
+            clear = [y for y in clear if self._function.value(y) <= self._floor]
             for y in clear[:_FOLLOWED]:
                 blocked = self._blocked(y)
                 if blocked is None:
@@ -196,7 +203,8 @@ class ClearSearch:
             new = [
                 minimum
                 for minimum in distinct(minima)
-                if all(np.abs(minimum.y - y).max() > _SAME for y in tried)
+                if minimum.value <= self._floor
+                and all(np.abs(minimum.y - y).max() > _SAME for y in tried)
             ]
             if not new or best <= enough:
                 break
@@ -409,13 +417,15 @@ def clear_postures(
     checker: CollisionChecker,
     starts: Sequence[FloatArray],
     budget: SearchBudget,
+    *,
+    floor: float = np.inf,
 ) -> list[FloatArray]:
     """Return postures, rounded as stored, in which the tips touch and nothing else collides.
 
-    ``starts``: coordinates ``(k,)`` of good postures, the best first.
+    ``starts`` and ``floor`` as in `ClearSearch.run`.
     """
     if function.space.size > 1:
-        poses = ClearSearch(function, motion, checker, budget).run(starts)
+        poses = ClearSearch(function, motion, checker, budget).run(starts, floor)
         return list(touching_postures(function, poses))
     low, high = _free_interval(function, motion, checker)
     if high <= low:

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 
 from rtee.actions.types import PrimitiveKind
-from rtee.extract.collision_free import (
-    GOOD,
-    SearchBudget,
-    clear_postures,
-    touching_postures,
-)
+from rtee.extract.clear_elsewhere import ClearElsewhere
+from rtee.extract.collision_free import SearchBudget, clear_postures, touching_postures
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import GoalFunction, MultiPinchGoal, TipEdge, linked, spanning_trees
 from rtee.extract.pairs import LinkPair
@@ -29,21 +25,13 @@ _MOST_TREES: Final = 4
 """Maximum number of spanning trees from which starts are combined; the hands in ``config/`` have no
 more."""
 
-_BUDGETS: Final = tuple(
-    SearchBudget(
-        pool=pool,
-        kept=kept,
-        attempts=attempts,
-        pushes=8,
-        recalibrations=6,
-        trust_steps=12,
-        path_rounds=4,
-        extra_attempts=2,
-    )
-    for pool, kept, attempts in ((6, 4, 4), (10, 6, 6))
-)
-"""Budgets for several tips. The second, with more and other starts, is for pinches whose clear pose
-is much shallower than the deepest one."""
+_FIRST: Final = SearchBudget(
+    pool=6, kept=4, attempts=4, pushes=8, recalibrations=6, trust_steps=12, path_rounds=4,
+    extra_attempts=2,
+)  # fmt: skip
+_FURTHER: Final = replace(_FIRST, pool=10, kept=6, attempts=6)
+"""Budgets for several tips: of the first search for clear poses, and of each further one, with more
+starts."""
 
 Pinches = Mapping[frozenset[str], FloatArray]
 """The deepest posture ``(n,)`` of each pair of fingers that pinch tightly."""
@@ -88,15 +76,12 @@ class MultiSearch:
 
         candidates = [candidate(touching)]
         if not candidates[0].usable:
-            starts, motion = [m.y for m in result.explored], self.inspector.motion
-            good = GOOD * candidates[0].evidence.depth
-            for budget in _BUDGETS:
-                clear = clear_postures(function, motion, checker, starts, budget)
-                candidates += [candidate(u) for u in clear[:1]]
-                if any(c.usable and c.evidence.depth >= good for c in candidates):
-                    break
-                # Next, start from the others, if there are any.
-                starts = starts[budget.kept :] or starts
+            minima, motion = [m.y for m in result.explored], self.inspector.motion
+            clear = clear_postures(function, motion, checker, minima, _FIRST)
+            candidates += [candidate(u) for u in clear[:1]]
+            further = ClearElsewhere(function, motion, checker, candidate, _FURTHER, (_FIRST.kept,))
+            deep = [function.stored(m.y) for m in result.polished]
+            candidates += further.deeper(candidates, deep, minima)
         kind = PrimitiveKind.MULTI_PINCH_TIGHT
         kept = ranked(self._hand, candidates, self.rank)
         if self.rank == "depth":

@@ -9,12 +9,8 @@ from typing import Final
 import numpy as np
 
 from rtee.actions.types import PrimitiveKind
-from rtee.extract.collision_free import (
-    GOOD,
-    SearchBudget,
-    clear_postures,
-    touching_postures,
-)
+from rtee.extract.clear_elsewhere import ClearElsewhere
+from rtee.extract.collision_free import SearchBudget, clear_postures, touching_postures
 from rtee.extract.collisions import CollisionChecker
 from rtee.extract.descent import Minimum, descend
 from rtee.extract.distance_queries import TOUCH
@@ -39,14 +35,8 @@ _EVALUATIONS: Final = 40
 _HOLLOW: Final = 24
 """Maximum number of places at which to measure the distance of hollow tips, to choose starts."""
 
-_LOOKED: Final = 8
-"""Maximum number of further minima that are checked for being clear as they are."""
-
-_BEGINS: Final = (4, 8)
+_LEFT_OUT: Final = (4, 8)
 """Number of the deepest minima that further searches for clear postures leave out."""
-
-_GAIN: Final = 0.01
-"""Share by which a clear posture must be deeper than the first ones to take their place."""
 
 _MOST: Final[dict[Rank, int]] = {"depth": 2, "opposition": 6}
 """Number of postures to measure and, if distinct, to keep, by rank: the deepest is found early, but
@@ -146,44 +136,20 @@ class PinchSearch:
                 # Reduced margins are only for pinches without a posture of full margins.
                 if any(candidate.margin for candidate in candidates):
                     break
-            deeper = self._candidates(self._clear_elsewhere(probe, candidates, checker), checker)
-            if deeper:
-                candidates = [probe.best, *deeper, *candidates[1:]][:most]
+            further = ClearElsewhere(
+                self._pinch,
+                self._inspector.motion,
+                checker,
+                lambda u: self._candidates([u], checker)[0],
+                SearchBudget(),
+                _LEFT_OUT,
+            )
+            if found := further.deeper(candidates, probe.postures[1:], probe.minima):
+                candidates = [probe.best, *found, *candidates[1:]][:most]
         # Further deep postures fill the remaining places.
         candidates += self._candidates(probe.postures[1 : most + 1 - len(candidates)], checker)
         names = tuple(finger.name for finger in self._fingers)
         return FoundPinch(probe.kind, names, ranked(self._hand, candidates, self._rank))
-
-    def _clear_elsewhere(
-        self, probe: PinchProbe, candidates: Sequence[Candidate], checker: CollisionChecker
-    ) -> list[FloatArray]:
-        """Return a clear posture from elsewhere, if it is deeper than those that were found.
-
-        The search for clear postures starts from the deepest minima and takes their constraints
-        along; other minima may need none, or lead to deeper ones. Not if a clear posture is nearly
-        the deepest.
-        """
-        pinch, better = self._pinch, list[FloatArray]()
-        least, good = min((c.gap for c in candidates if c.usable), default=0.0), probe.best.gap
-
-        def deeper(u: FloatArray) -> bool:
-            value = pinch.value(pinch.space.coordinates(u))
-            if value >= (1.0 + _GAIN) * least or checker.at(u):
-                return False
-            return checker.blocked(u) is None
-
-        def improve(postures: Sequence[FloatArray]) -> None:
-            nonlocal least, better
-            if least > GOOD * good and (found := next(filter(deeper, postures), None)) is not None:
-                least, better = pinch.value(pinch.space.coordinates(found)), [found]
-
-        improve(probe.postures[1 : 1 + _LOOKED])
-        for begin in _BEGINS:
-            if least <= GOOD * good or begin >= len(probe.minima):
-                break
-            starts, motion = probe.minima[begin:], self._inspector.motion
-            improve(clear_postures(pinch, motion, checker, starts, SearchBudget())[:1])
-        return better
 
     def _can_separate(self) -> bool:
         """Return whether the tips can separate; tips that always touch are not a pinch."""

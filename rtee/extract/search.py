@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
@@ -99,6 +100,17 @@ _LITTLE: Final = 0.002
 
 _FURTHER: Final = 64
 """Number of further points of the low-discrepancy sequence."""
+
+_USED: Final = 192
+"""Number of points of the low-discrepancy sequence that other searches use, at most."""
+
+_POINTS: Final = 12
+_DESCENTS: Final = 1.5
+"""Numbers of new points, and of descents from the best of them, per coordinate: valleys multiply
+with the coordinates."""
+
+_DESCENT: Final = 40
+"""Maximum number of evaluations of such a descent."""
 
 _NEARLY: Final = 0.06
 """Largest excess over the deepest minimum, as a share of its value, of another minimum that is
@@ -198,12 +210,27 @@ def _elsewhere(
     Combinations of known minima hardly leave the valleys of these.
     """
     points = halton(function.space.size, effort.screened + _FURTHER)[effort.screened :]
-    best = nearest(function, [*points], effort.elsewhere)
-    found = distinct([descend(function, y, evaluations=effort.quick) for y in best])
+    found = _descents(function, points, effort.elsewhere, effort.quick)
     enough = known[0].value + _NEARLY * abs(known[0].value)
     return [
         m for m in found if m.value < enough and all(np.abs(m.y - o.y).max() > _SAME for o in known)
     ]
+
+
+def fresh_minima(function: GoalFunction) -> list[FloatArray]:
+    """Return coordinates ``(k,)`` of minima found from new points, the deepest first."""
+    size = function.space.size
+    points = halton(size, _USED + _POINTS * size)[_USED:]
+    found = _descents(function, points, math.ceil(_DESCENTS * size), _DESCENT)
+    return [minimum.y for minimum in found]
+
+
+def _descents(
+    function: GoalFunction, points: FloatArray, starts: int, evaluations: int
+) -> list[Minimum]:
+    """Return distinct ends of descents from the best points, the deepest first."""
+    best = nearest(function, [*points], starts)
+    return distinct([descend(function, y, evaluations=evaluations) for y in best])
 
 
 def _deepened(
