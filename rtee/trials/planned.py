@@ -74,12 +74,17 @@ def check_plan(
     )
     trial = Trial(name, plan.elements, obj.name, plan.intensity, obj.mass)
     place = Place(pose, plan.touch, np.array(plan.approach_from), plan.preshape)
+    # Before the first tick, the hand leaves for where its approach begins: where it will grasp, its
+    # open fingers may overlap what stands a little beside its place, and would throw it.
+    around = simulation.surroundings
+    begin = -around.base_pose[:3, :3] @ place.approach_from
+    around.jump(np.concatenate([begin, np.zeros(3)]))
     headless = HeadlessHand(hand, library, settings, simulation)
     pressed = 0.0
 
     def note(_: float) -> None:
         nonlocal pressed
-        pressed = max(pressed, simulation.surroundings.pressing())
+        pressed = max(pressed, around.pressing())
 
     if table is not None:
         headless.before_tick(note)

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
 
+from rtee.drivers.mujoco.simulation import Simulation
 from rtee.objects.shape import Table
 from rtee.planning.objects import read_object
 from rtee.planning.plan import plan_grasps
 from rtee.trials.bench import TrialBench, bench
+from rtee.trials.headless import HeadlessHand
 from rtee.trials.planned import check_plan, checked
+from rtee.trials.trial_run import TrialRun
 from rtee.trials.variation import Variation
 
 
@@ -63,6 +67,24 @@ def test_fingers_that_wait_for_one_another_hold_what_they_would_push(repository:
     # To the same place by intensity: the thumb and the fingers press with unequal efforts.
     pushed = dataclasses.replace(plan, force=None)
     assert not check_plan(fingers, thing, ranking, pushed).held
+
+
+def test_the_hand_does_not_begin_inside_what_stands_beside_its_place(
+    gripper: TrialBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    thing = read_object("box:0.04x0.04x0.06")
+    ranking = plan_grasps(gripper.hand, gripper.library, thing, table=Table((0.0, 0.0, 1.0)))
+    speeds: list[float] = []
+
+    def noted(headless: HeadlessHand[Simulation], *given: Any, **options: Any) -> TrialRun:
+        speeds.append(headless.simulation.surroundings.speed)
+        return TrialRun(headless, *given, **options)
+
+    monkeypatch.setattr("rtee.trials.planned.TrialRun", noted)
+    # As far as the open jaws are wide: one of them is where the box stands.
+    aside = Variation(1.0, 1.0, (0.0, 0.03, 0.0), (0.0, 0.0, 0.0), 0.5)
+    check_plan(gripper, thing, ranking, ranking.plans[0], aside)
+    assert max(speeds) < 0.05
 
 
 def test_pieces_of_a_mesh_are_held(gripper: TrialBench, repository: Path) -> None:
