@@ -137,7 +137,7 @@ def from_table(hands: list[str], things: list[str], seed: int, times: int) -> No
             if not ranking.plans:
                 table.row(name, obj, "none", "", "", "", "")
                 continue
-            plan, draws = ranking.plans[0], [None, *(_small(seed, n) for n in range(times))]
+            plan, draws = ranking.plans[0], [None, *(small(seed, n) for n in range(times))]
             first, *others = [
                 check_plan(ready, target, ranking, plan, variation) for variation in draws
             ]
@@ -159,7 +159,7 @@ def from_table(hands: list[str], things: list[str], seed: int, times: int) -> No
             calibration.row(f"{low} to {min(high, 1.0)}", len(found), f"{mean:.2f}", share)
 
 
-def _small(seed: int, number: int) -> Variation:
+def small(seed: int, number: int) -> Variation:
     """Return a variation by up to 5 mm, 5 degrees and a friction, half of a trial's."""
     drawn = draw(seed, number)
     x, y, z, rx, ry, rz = (0.5 * value for value in (*drawn.position, *drawn.turn))
