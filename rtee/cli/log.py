@@ -441,13 +441,17 @@ def unpack(
     Arguments and options:
         folder (FOLDER): Where the hand's folder is made.
     """
+    from rtee.hand.names import check_name
     from rtee.log.playback import write_hand
     from rtee.log.reader import read
     from rtee.messages.topics import ROBOT_DESCRIPTION
 
     recording = read(_paths(file, False), only=[ROBOT_DESCRIPTION])
-    if recording.hand and (folder / recording.hand).exists():
-        raise LogError("exists already; give another folder", path=folder / recording.hand)
+    if recording.hand:
+        # Checked before it becomes a path: the system refuses some names with an error of its own.
+        home = folder / check_name(recording.hand, "hand", path=recording.paths[0])
+        if home.exists():
+            raise LogError("exists already; give another folder", path=home)
     _print_safely(str(write_hand(recording, folder)))
 
 

@@ -34,7 +34,7 @@ from log.samples import (
     tick,
 )
 from rtee.cli.log import app
-from rtee.errors import LogError, MissingExtra
+from rtee.errors import LogError, MissingExtra, UserError
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.log import Recording, read, reader, to_pandas
@@ -46,6 +46,7 @@ from rtee.log.figure import read_for as plot_pieces
 from rtee.log.file_index import ChunkPlace, index_file
 from rtee.log.info import info
 from rtee.log.layout import REPLAY, Replayable
+from rtee.log.mcapfile import McapFile
 from rtee.log.playback import fingers, write_hand
 from rtee.log.plots import write_html, write_png
 from rtee.log.recover import recover
@@ -468,6 +469,19 @@ def test_log_info(story: Path) -> None:
     assert "mark: look here" in out
     status, out = run("info", story, "--json")
     assert json.loads(out)["hand"] == "claw"
+
+
+def test_a_hand_s_name_that_no_file_can_have_is_one_sentence(claw: Hand, tmp_path: Path) -> None:
+    log = Log(replace(claw, name="x" * 5000), settings(tmp_path / "logs"), start=False)
+    path = tmp_path / "named.mcap"
+    contents = log.writer.sink._contents
+    file = McapFile(path, contents.preamble(0))
+    file.write(contents.description(1))
+    file.close()
+    result = CliRunner().invoke(app, ["unpack", str(path), str(tmp_path / "out")])
+    assert isinstance(result.exception, UserError)
+    assert "is longer than 100 characters" in str(result.exception)
+    assert not (tmp_path / "out").exists()
 
 
 def test_names_of_files_do_not_command_the_terminal(story: Path, tmp_path: Path) -> None:
