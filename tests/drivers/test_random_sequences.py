@@ -90,8 +90,8 @@ class Witness:
         await self._activate()
 
     async def disable(self) -> None:
-        self._given = None
         await self._disable()
+        self._given = None  # not if it failed: then the hand is still active, and has braked
 
     async def sense(self) -> ActuatorState:
         self._begun = monotonic.now()
