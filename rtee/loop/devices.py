@@ -235,7 +235,7 @@ class Devices:
             self._velocity_limits = readonly(max_velocity)
         for device in self._all if started else ():
             if places := [k for k, i in enumerate(device.indices) if i in started]:
-                device.connection.restart(places)
+                device.connection.restart(places, sent[0][list(device.indices)])
         for device in self._all:
             if device.due(tick):
                 moving = self._active[device.name] and not device.muted

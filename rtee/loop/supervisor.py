@@ -135,7 +135,8 @@ class DeviceConnection:
         self.activations = 0
         self.counters = ExchangeCounters()
         self.every = settings.spec.every or 1
-        self.deadline = settings.spec.deadline or LEAST_DEADLINE
+        self._reach = LEAST_DEADLINE
+        self.deadline = settings.spec.deadline or self._reach
         self.trouble = "it is not connected yet"
         self.message = ""
         self.fault: DeviceFault | None = None
@@ -212,12 +213,15 @@ class DeviceConnection:
         """Return a reference that the device reaches without a jump after missed exchanges.
 
         Meanwhile, the loop's reference has moved on; the device catches up with it within the
-        velocity limits.
+        velocity limits, at first by no more than two periods' travel.
         """
         if self._given is None:
             return reference
-        most = reference.max_velocity * min(self.answered - self._given_at, self.deadline)
-        # `fmin` and `fmax` prefer a number to NaN, which stands for a reference that was started.
+        longest = self._reach if self.counters.in_row else self.deadline
+        # Until one has arrived, the first one is where the references start.
+        passed = self.answered - self._given_at if self._given_at > -math.inf else 0.0
+        most = reference.max_velocity * min(passed, longest)
+        # `fmin` and `fmax` prefer a number to NaN, which stands for a reference not known.
         near = np.fmax(np.fmin(reference.position, self._given + most), self._given - most)
         self._behind = bool((near != reference.position).any())
         return replace(reference, position=readonly(near)) if self._behind else reference
@@ -230,12 +234,11 @@ class DeviceConnection:
         position = np.where(np.isnan(given), reference.position, given)
         return replace(reference, position=readonly(position))
 
-    def restart(self, places: Sequence[int]) -> None:
-        """Let some of the device's references start anew: they may differ from the last ones."""
-        if self._given is not None:
-            given = np.array(self._given)
-            given[places] = math.nan
-            self._given = given
+    def restart(self, places: Sequence[int], position: FloatArray) -> None:
+        """Let some of the device's references start anew, from positions ``(n,)`` [rad | m]."""
+        given = np.full(len(position), math.nan) if self._given is None else np.array(self._given)
+        given[places] = position[places]
+        self._given = given
 
     def accept(self, state: ActuatorState) -> None:
         """Keep a state that the driver returned."""
@@ -305,7 +308,8 @@ class DeviceConnection:
         if self.every < least:
             text = f"is asked for {rate / self.every:g} Hz; its wire allows at most {best:.0f} Hz"
             self._report("device_rate", text, "warning")
-        self.deadline = self._spec.deadline or max(2 * self.every / rate, LEAST_DEADLINE)
+        self._reach = max(2 * self.every / rate, LEAST_DEADLINE)
+        self.deadline = self._spec.deadline or self._reach
 
     async def _activate(self) -> None:
         # No timeout here: the runner watches over the whole attempt.
@@ -315,7 +319,7 @@ class DeviceConnection:
         self._activate_on_connect = self._settings.reconnect_active
         self.fault = None
         self.message = self.trouble = ""
-        self._given = None
+        self._given, self._given_at = None, -math.inf
         self.activations += 1
         self.lifecycle = Lifecycle.ACTIVE
 

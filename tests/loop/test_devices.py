@@ -152,10 +152,29 @@ async def test_a_started_reference_that_did_not_arrive_is_where_the_next_one_sta
     await link.connect()
     first = Reference.at([0.1] * 4, max_velocity=[1.0] * 4)
     await link.exchange(first)
-    link.restart((0,))
-    driver.deaf = True
-    await link.exchange(Reference.at([0.5] * 4, max_velocity=[1.0] * 4))
+    link.restart([0], np.full(4, 0.5))
+    driver.errors = [BusTimeout("dummy", "noise")]
+    await link.exchange(Reference.at([0.9] * 4, max_velocity=[1.0] * 4))
     assert link.last(first).position.tolist() == [0.5, 0.1, 0.1, 0.1]
+
+
+async def test_the_first_reference_after_missed_exchanges_is_where_they_started(hand: Hand) -> None:
+    settings, driver = trouble(hand, deadline=1.0)
+    async with running(hand, None, [(settings, driver)]) as rig:
+        await rig.loop.devices["dummy"].disable(1.0)
+        here = (await driver.sense()).position
+        driver.arrived.clear()
+        await rig.loop.recover()
+        driver.errors = [BusTimeout("wire", "lost")] * 1000  # from its first exchange on
+        rig.loop.submit(Goal(Named("fist")))
+        await rig.run(0.3)
+        assert not driver.arrived and status(rig).lifecycle is Lifecycle.ACTIVE
+        driver.errors = []
+        await rig.run(1.0)
+        assert driver.arrived[0].position == pytest.approx(here, abs=1e-9)
+        steps = np.abs(np.diff([each.position for each in driver.arrived], axis=0))
+        top = np.array([actuator.velocity for actuator in hand.actuators])
+        assert (steps <= 2.0 * top / rig.clock.rate * (1 + 1e-6)).all()
 
 
 @pytest.mark.parametrize("ends", ["goal", "stop", "run"])
