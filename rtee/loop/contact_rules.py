@@ -47,6 +47,12 @@ FAINT: Final = 0.1
 """Below this share of the requested force, fingers press on nothing: it is mere noise, or what an
 object weighs. In simulation, what is held shows 0.14 of the force at least, by sensors."""
 
+_HANDED: Final = 0.3
+"""Share of the force of all fingers of a motor that one of them hands over to one that bore nothing
+when what they hold turns or moves. In simulation, 0.44 to 0.5 if it moves by more than 5 mm, and
+0.18 at most while it stays: where two fingers bear a half each, a third one that joins them leaves
+a third to each."""
+
 _GIVES: Final = 2e-4
 """What is pressed on gives way while the tips come nearer by more than this [m] within `STILL`:
 more than the noise of positions. In simulation, they come nearer by 0.17 mm at most on what stays,
@@ -326,6 +332,24 @@ def closed_past(opening: float, doubt: float, held: float, *, bends: bool = Fals
 def strays(moved: float) -> bool:
     """Return whether a fingertip swings or rolls with what it grasped, by its travel since [m]."""
     return moved > _STRAYS
+
+
+def handed_over(then: Sequence[float], now: Sequence[float]) -> bool:
+    """Return whether a finger that bore nothing bears what another finger of its motor bore.
+
+    Such fingers cannot regrasp: what they hold has turned or moved, though the force is the same.
+
+    Args:
+        then: Forces on the fingers of an actuator when it grasped [N]; ``NaN``: not measured.
+        now: The same forces now [N].
+    """
+    before, after = sum(then), sum(now)
+    if len(then) != len(now) or not (before > 0.0 and after > 0.0):
+        return False
+    shares = [(one / before, other / after) for one, other in zip(then, now, strict=True)]
+    gave = max(bore - bears for bore, bears in shares)
+    took = max((bears for bore, bears in shares if bore < FAINT), default=0.0)
+    return min(gave, took) >= _HANDED
 
 
 def came_as_far(came: float, meets: float, early: float) -> bool:

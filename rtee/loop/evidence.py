@@ -102,6 +102,7 @@ class _WatchedActuator:
     new: bool = True
     hung: float = 0.0
     hold_position: float = math.nan
+    hold_forces: Sequence[float] = ()
     losing_since: float = math.nan
     presses: bool | None = None
     led_from: float = math.nan
@@ -225,7 +226,7 @@ class ContactMonitor:
             self._watched.pop(i, None)
             self._approaching.pop(i, None)
 
-    def pin(self, i: int, stamp: float, position: float, *, grasping: bool) -> None:
+    def pin(self, i: int, stamp: float, measured: Measured, *, grasping: bool) -> None:
         """Record that an actuator was stopped because it touches an object.
 
         Until `unpin` it must not be passed to `update`.
@@ -233,13 +234,14 @@ class ContactMonitor:
         Args:
             i: The actuator.
             stamp: Now [s].
-            position: Where it was stopped [rad | m].
+            measured: The measured state in which it was stopped.
             grasping: Whether it counts as holding the object.
         """
         watched = self._watched.get(i)
         if watched is not None:
             watched.blocked_at, watched.grasping = stamp, grasping
-            watched.own_report, watched.hold_position = False, position
+            watched.own_report, watched.hold_position = False, measured.position[i]
+            watched.hold_forces = self.forces(i, measured)
 
     def presses_now(self, indices: Iterable[int], presses: bool) -> None:
         """Record whether some actuators press on something, by the force between the tips."""
@@ -515,6 +517,7 @@ class ContactMonitor:
             watched.grasping = True
             watched.own_report = own_report
             watched.hold_position = measured.position[i]
+            watched.hold_forces = self.forces(i, measured)
             self._grips[i] = _Grip(ahead, measured.position[i])
 
     def _has_moved(
@@ -600,9 +603,9 @@ class ContactMonitor:
     ) -> list[int]:
         """Return the actuators that have just lost their object.
 
-        An object is lost when no fingertip touches it any more (where that is measured), when the
-        device withdraws its report while its target is at rest, or when the actuator moves on
-        towards its target without effort.
+        An object is lost when no fingertip touches it any more, or one finger of an actuator bears
+        what another one bore (where that is measured), when the device withdraws its report while
+        its target is at rest, or when the actuator moves on towards its target without effort.
         """
         lost: list[int] = []
         for i, watched in self._watched.items():
@@ -621,6 +624,8 @@ class ContactMonitor:
     def _looks_lost(
         self, i: int, watched: _WatchedActuator, measured: Measured, reference: float, limit: float
     ) -> bool:
+        if rules.handed_over(watched.hold_forces, self.forces(i, measured)):
+            return True
         if watched.presses is not None:
             return not watched.presses
         word = None

@@ -656,7 +656,7 @@ class Executor:
         if run.bears != run.bears:
             run.bears = stamp
         if stamp - run.bears >= _STEADY:
-            contact.pin(i, stamp, position[i], grasping=True)
+            contact.pin(i, stamp, measured, grasping=True)
         return True
 
     def _progress(self, run: _Run, error: tuple[float, float]) -> float:

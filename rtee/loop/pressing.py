@@ -539,8 +539,7 @@ class Pressing:
         self.failed = share < _HOLDS or not self._estimate.both_press(measured)
         holds = self._still and not self.failed
         for i in self.held:
-            here = measured.position[i]
-            self._contact.pin(i, stamp, here, grasping=i in self._predicted and holds)
+            self._contact.pin(i, stamp, measured, grasping=i in self._predicted and holds)
         self._width = self._grip.opening(measured.position)
         self._rested = self._touches(measured)
         self._by_efforts = self._estimate.by_efforts(measured.effort, measured.position)

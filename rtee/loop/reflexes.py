@@ -678,7 +678,7 @@ class Reflexes:
             self._limiter.seed(i, there)
         self.busy.add(i)
         holds = watched.mode is OnContact.HOLD
-        self._contact.pin(i, stamp, here, grasping=holds)
+        self._contact.pin(i, stamp, measured, grasping=holds)
         if together:
             return
         if watched.mode is not OnContact.STOP and math.isfinite(self._limit(i)):

@@ -163,6 +163,19 @@ def test_a_fingertip_that_moves_by_more_than_a_slip_has_strayed() -> None:
     assert not rules.strays(NAN)
 
 
+def test_what_a_finger_hands_over_to_another_one_has_turned() -> None:
+    # A box turns out of two of three fingers, and is caught by another pair.
+    assert rules.handed_over([35.9, 0.0, 36.2], [36.5, 36.3, 0.0])
+    assert rules.handed_over([35.9, 0.0, 36.2], [11.4, 11.3, 0.0])  # the share counts
+    assert rules.handed_over([0.0, 39.8, 31.6], [27.3, 6.1, 28.2])  # likewise, by all three
+    assert not rules.handed_over([36.0, 0.0, 35.9], [24.0, 25.0, 25.0])  # a third finger joins
+    assert not rules.handed_over([24.0, 25.0, 25.0], [36.0, 0.0, 36.0])  # and leaves
+    assert not rules.handed_over([10.0, 10.0], [0.0, 20.0])  # of two, one side holds nothing
+    assert not rules.handed_over([35.9, 0.0, 36.2], [0.0, 0.0, 0.0])
+    assert not rules.handed_over([35.9, 0.0, 36.2], [NAN, 36.0, 36.0])
+    assert not rules.handed_over([], [36.5, 36.3, 0.0])
+
+
 def test_a_small_share_of_the_force_is_faint() -> None:
     assert rules.faint(0.096, 3.1)  # a plate that slides out of one motor's fingers
     assert not rules.faint(0.48, 3.3)  # a ball that they hold

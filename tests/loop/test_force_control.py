@@ -46,7 +46,7 @@ STIFFNESS = 200.0
 
 
 class Gripper:
-    """A 2F-85 with something between its fingers, and sensors at their tips if wanted.
+    """A hand with one motor that holds something, with sensors at its tips if wanted.
 
     Args:
         width: Width of what it holds [m]; 0: nothing.
@@ -56,9 +56,10 @@ class Gripper:
         amperes: Current for every unit of effort, which is not measured then [A/(N·m)].
         impact: What the sensors read more for 20 ticks from the contact on [N].
         learned: What is known of its free motion.
+        folder: The hand's; a 2F-85, if not given.
 
     Attributes:
-        opposite: What the sensor on the other side reads for every newton of this one.
+        opposite: What the sensors of the other fingers read for every newton of the first one's.
         stiffness: Of its motor against what stops it [N·m/rad].
     """
 
@@ -71,15 +72,16 @@ class Gripper:
         amperes: float = NAN,
         impact: float = 0.0,
         learned: Mapping[str, LearnedMotion] | None = None,
+        folder: Path = FOLDER,
     ) -> None:
-        self.hand, config = load_configured(FOLDER)
-        self.library = ActionLibrary.load(self.hand, FOLDER / "actions")
+        self.hand, config = load_configured(folder)
+        self.library = ActionLibrary.load(self.hand, folder / "actions")
         self.settings = structs.replace(
             loop_settings(config, rate=500.0), free_motion=learned or {}
         )
         self.controller = Controller(self.hand, self.settings)
         self.reads, self.friction, self.stops_short = reads, friction, stops_short
-        self.opposite = 1.0
+        self.opposite: tuple[float, ...] = (1.0,)
         self.stiffness = STIFFNESS
         self.amperes = amperes
         self.impact, self.since_contact = impact, 0
@@ -133,7 +135,7 @@ class Gripper:
         if self.reads == self.reads:
             hit = self.impact if 0 < self.since_contact <= 20 else 0.0
             felt = self.reads * self.force + hit
-            touch = [felt, self.opposite * felt]
+            touch = [felt, *(other * felt for other in self.opposite)]
         measured = Measured([self.position], [self.effort], [NAN], [True], [-1], touch=touch)
         if self.amperes == self.amperes:
             free = 0.3 * (self.controller.reference_velocity[0] > 0.0)
@@ -340,7 +342,7 @@ def test_one_side_or_a_faint_force_holds_nothing_that_is_known(
     reads: float, opposite: float
 ) -> None:
     gripper = Gripper(0.04, reads=reads)
-    gripper.opposite = opposite
+    gripper.opposite = (opposite,)
     result = gripper.do(grasp(0.04, 40.0))
     assert (result.grasped, result.unknown) == (False, True)
 
@@ -348,11 +350,27 @@ def test_one_side_or_a_faint_force_holds_nothing_that_is_known(
 def test_what_one_side_alone_still_touches_is_lost() -> None:
     gripper = Gripper(0.04, reads=1.0)
     assert gripper.do(grasp(0.04, 40.0)).grasped
-    before, gripper.opposite = gripper.time, 0.0  # one motor moves both sides, and stands still
+    before, gripper.opposite = gripper.time, (0.0,)  # one motor moves both sides, and stands still
     for _ in range(100):
         gripper.tick()
     [lost] = [event for event in gripper.events if event.kind == "grasp_lost"]
     assert 0.04 < lost.stamp - before < 0.2
+
+
+@pytest.mark.parametrize(
+    ("opposite", "lost"),
+    [((1.0, 0.0), True), ((1.0, 1.0), False), ((0.0, 0.9), False)],
+)
+def test_what_another_finger_of_the_motor_takes_over_has_turned(
+    opposite: tuple[float, ...], lost: bool
+) -> None:
+    gripper = Gripper(0.074, reads=0.5, folder=FOLDER.parent / "onrobot_3fg15")
+    gripper.opposite = (0.0, 1.0)
+    assert gripper.do(grasp(0.074, 72.0)).grasped
+    gripper.opposite = opposite
+    for _ in range(100):
+        gripper.tick()
+    assert ("grasp_lost" in [event.kind for event in gripper.events]) is lost
 
 
 @pytest.mark.parametrize("reads", [1.0, NAN])
