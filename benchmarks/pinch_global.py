@@ -22,11 +22,12 @@ from common import HELP, Table, command_line
 from extract import goals, loaded, tip_pairs
 
 from rtee.actions.types import Primitive, PrimitiveKind
+from rtee.child import processors
 from rtee.extract.canonical import canonical
 from rtee.extract.evidence import Inspector
 from rtee.extract.extraction import extract
 from rtee.extract.goals import GapGoal, GoalFunction, MultiPinchGoal, SearchGoal, TipEdge
-from rtee.extract.jobs import parallel_map, processors
+from rtee.extract.jobs import parallel_map
 from rtee.extract.polish import polish
 from rtee.extract.space import Space
 from rtee.sample import FloatArray

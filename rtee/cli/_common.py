@@ -214,6 +214,11 @@ _PARTNERS = re.compile(rf"(?=With)(?:With ({_NAMES}))?(?:(?:, w|W)ithout ({_NAME
 without all of them, or both."""
 
 
+_MAY_BE_EMPTY = ("connect", "description", "namespace")
+"""Options that may be empty words: a script's unset variable must not keep a stop from the hands of
+this computer, an action needs no description, and the root of ROS 2's names has none."""
+
+
 class _Command(TyperCommand):
     """A command that refuses what would have no effect, and whose ``--wait`` may have no number.
 
@@ -237,7 +242,7 @@ class _Command(TyperCommand):
             value = ctx.params.get(option.name)
             for each in value if isinstance(value, list | tuple) else (value,):
                 # An empty path is the present folder.
-                if empty and each in ("", Path()):
+                if empty and each in ("", Path()) and option.name not in _MAY_BE_EMPTY:
                     raise _Misplaced(f"{_shown(option)} is empty", ctx=ctx)
                 if isinstance(each, float) and not math.isfinite(each):
                     raise typer.BadParameter("should be a finite number", ctx=ctx, param=option)

@@ -228,13 +228,13 @@ def why_no_mesh(data: bytes, suffix: str) -> str | None:
     return None
 
 
-_LEAST: Final = 2
+_LEAST: Final = 1
 """Bytes that a vertex, face or other element takes at least, in any format."""
 
 
 def _counts_of_ply(data: bytes) -> list[bytes]:
     head = data.partition(b"end_header")[0]
-    return re.findall(rb"(?:^|[\r\n])\s*element\s+\S+\s+(\d+)", head)
+    return re.findall(rb"(?:^|[\r\n])[ \t]*element[ \t]+\S+[ \t]+(\d+)", head)
 
 
 def _counts_of_off(data: bytes) -> list[bytes]:

@@ -10,6 +10,7 @@ import subprocess
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import Any, Final
 
@@ -80,14 +81,16 @@ class Question:
             )
         if not 0 < len(self.object) <= _LONGEST_SHAPE:
             raise ConfigError("which object? give its shape, such as sphere:0.03")
-        if not isinstance(self.top, int) or self.top < 1:
-            raise ConfigError(f"at least one grasp must be wanted, not {self.top!r:.100}")
+        top: object = self.top
+        if isinstance(top, bool) or not isinstance(top, Integral) or top < 1:
+            raise ConfigError(f"at least one grasp must be wanted, not {top!r:.100}")
         if not isinstance(self.table, Table | None):
             raise ConfigError(f"a table is a Table(…), not {self.table!r:.100}")
 
     def words(self) -> dict[str, Any]:
         """Return the question as plain data, ready for JSON."""
-        return asdict(self) | {"mesh": base64.b64encode(self.mesh).decode("ascii")}
+        mesh = base64.b64encode(self.mesh).decode("ascii")
+        return asdict(self) | {"top": int(self.top), "mesh": mesh}
 
 
 @dataclass(frozen=True, slots=True)

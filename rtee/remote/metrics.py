@@ -175,39 +175,55 @@ class _FleetCollector:
         yield from families(looking.result(_SCRAPED_WITHIN))
 
 
-class _Silent(WSGIRequestHandler):
+class _Handler(WSGIRequestHandler):
     """Handles requests without a line of log for each."""
+
+    server: _Server
+
+    def parse_request(self) -> bool:
+        """Parse a request, which makes its connection one that has asked."""
+        asked = super().parse_request()
+        self.server.asked(self.request)
+        return asked
 
     def log_message(self, format: str, *arguments: object) -> None:  # noqa: A002
         """Log nothing."""
 
 
 class _Server(ThreadingMixIn, WSGIServer):
-    """An HTTP server that serves a limited number of connections, and closes the oldest beyond it.
+    """An HTTP server that serves a limited number of connections.
 
     Each connection has a thread. Without a limit, connections that say nothing could use up the
-    threads and the memory of the hand's service, to which this process belongs.
+    threads and the memory of the hand's service, to which this process belongs. Beyond it, the
+    oldest of these is closed, or the new one if all others have asked for something.
     """
 
     daemon_threads = True
 
     def __init__(self, host: str, port: int, registry: CollectorRegistry) -> None:
         self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        self._open: OrderedDict[socket.socket, None] = OrderedDict()
+        self._open: OrderedDict[socket.socket, bool] = OrderedDict()  # whether it has asked
         self._changing = threading.Lock()
-        super().__init__((host, port), _Silent)
+        super().__init__((host, port), _Handler)
         self.set_app(make_wsgi_app(registry))
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Serve a connection in a thread."""
         with self._changing:
-            self._open[request] = None
+            self._open[request] = False
             if len(self._open) > _MOST_OPEN:
-                # Its thread then reads the end of the data, and ends. The next one is the oldest.
-                oldest, _ = self._open.popitem(last=False)
+                # Its thread then reads the end of the data, and ends.
+                silent = next(each for each, asked in self._open.items() if not asked)
+                del self._open[silent]
                 with suppress(OSError):
-                    oldest.shutdown(socket.SHUT_RDWR)
+                    silent.shutdown(socket.SHUT_RDWR)
         super().process_request(request, client_address)
+
+    def asked(self, request: socket.socket) -> None:
+        """Keep a connection that has asked for something while others are silent."""
+        with self._changing:
+            if request in self._open:
+                self._open[request] = True
 
     def shutdown_request(self, request: Any) -> None:
         """Close a connection."""

@@ -16,6 +16,7 @@ import numpy as np
 from rtee import monotonic
 from rtee.messages.state import State
 from rtee.remote.monitoring import HandStatus
+from rtee.remote.words import asked
 from rtee.types import EARLY, DeviceStatus, Event, Outcome, Result
 
 STALE_AFTER: Final = 1.0
@@ -152,7 +153,7 @@ class Truth:
         self._over = result.goal_id
         self._turn(result.action, result.goal_id)
         self._doubted = result.unknown
-        self._asked = f" of {result.force_asked:.1f} N asked" if result.shortfall else ""
+        self._asked = asked(result)
         if result.grasped:
             self._fingers = result.grasped_fingers
             self._conclude(HeldObject.HOLDING)

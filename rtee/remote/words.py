@@ -70,12 +70,16 @@ def _grip(result: Result) -> str:
     if result.force is not None and result.grasped:
         error = 0.0 if result.force_error is None else result.force_error
         words += f" with {result.force:.1f} ± {error:.1f} N"
-        if result.shortfall:
-            words += f" of {result.force_asked:.1f} N asked"
-        words += f", by the {result.force_source}"
+        words += f"{asked(result)}, by the {result.force_source}"
         if result.shortfall:
             words += f": {_WHY_LESS[result.shortfall]}"
     return words
+
+
+def asked(result: Result) -> str:
+    """Return the force that was asked for, if the one on what is held is less."""
+    less = result.shortfall and result.force_asked is not None
+    return f" of {result.force_asked:.1f} N asked" if less else ""
 
 
 def _by(fingers: tuple[str, ...]) -> str:

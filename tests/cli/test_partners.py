@@ -67,6 +67,15 @@ def test_what_has_no_effect_is_refused(
     assert not list(tmp_path.iterdir())
 
 
+def test_an_empty_address_keeps_no_stop_from_the_hands_of_this_computer(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["rtee", "stop", "nobody", "--connect", ""])
+    with pytest.raises(SystemExit):
+        main()
+    assert "the hand 'nobody' is not running on this computer" in capsys.readouterr().err
+
+
 def test_what_is_said_of_a_shared_option_stays_with_its_command(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

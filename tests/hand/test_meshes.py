@@ -9,7 +9,7 @@ import pytest
 
 from hand.models import GRIPPER, check_meshes, line_of
 from rtee.errors import ModelError
-from rtee.hand.meshes import resolve_mesh
+from rtee.hand.meshes import resolve_mesh, why_no_mesh
 from rtee.hand.model import Hand
 
 STL = b"\0" * 80 + struct.pack("<I", 1) + struct.pack("<12fH", *[0.0] * 12, 0)
@@ -94,6 +94,12 @@ def test_slips_in_addresses_are_named(urdf: Path, address: str, hint: str) -> No
     put(urdf.parent / "meshes" / "a.stl")
     with pytest.raises(ModelError, match=re.escape(f"mesh '{address}' does not exist{hint}") + "$"):
         resolve_mesh(address, urdf)
+
+
+@pytest.mark.parametrize("filler", [b"\n", b" ", b"element ", b"element v "])
+def test_the_head_of_a_mesh_is_searched_in_one_pass(filler: bytes) -> None:
+    # A search that begins anew at each of a million places would not end.
+    assert why_no_mesh(b"ply\n" + filler * 1_000_000 + b"x", ".ply") is None
 
 
 @pytest.mark.parametrize(

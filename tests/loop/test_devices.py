@@ -168,7 +168,8 @@ async def test_the_first_reference_after_missed_exchanges_is_where_they_started(
         driver.errors = [BusTimeout("wire", "lost")] * 1000  # from its first exchange on
         rig.loop.submit(Goal(Named("fist")))
         await rig.run(0.3)
-        assert not driver.arrived and status(rig).lifecycle is Lifecycle.ACTIVE
+        assert not driver.arrived
+        assert status(rig).lifecycle is Lifecycle.ACTIVE
         driver.errors = []
         await rig.run(1.0)
         assert driver.arrived[0].position == pytest.approx(here, abs=1e-9)

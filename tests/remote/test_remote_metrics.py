@@ -6,7 +6,9 @@ import contextlib
 import json
 import re
 import socket
+import threading
 import urllib.request
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -88,6 +90,37 @@ async def test_connections_that_ask_for_nothing_are_few_and_keep_nobody_out() ->
         with serving_metrics(fleet, "127.0.0.1:0") as address:
             port = int(address.rpartition(":")[2].partition("/")[0])
             assert await anyio.to_thread.run_sync(flood, port)
+
+
+async def test_silent_connections_end_no_answer_that_takes_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from rtee.remote import metrics
+
+    begun, flooded = threading.Event(), threading.Event()
+
+    def slowly(collector: object) -> Iterator[object]:
+        begun.set()
+        assert flooded.wait(60.0)
+        yield from metrics.families([])
+
+    def flood(port: int) -> None:
+        with contextlib.ExitStack() as opened:
+            assert begun.wait(60.0)
+            for _ in range(100):
+                opened.enter_context(socket.create_connection(("127.0.0.1", port)))
+            last = opened.enter_context(socket.create_connection(("127.0.0.1", port)))
+            last.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            flooded.set()  # the server has accepted all before it
+            assert last.recv(100).startswith(b"HTTP/1.0 200")
+
+    async with following() as fleet:
+        with metrics.serving(fleet, "127.0.0.1:0") as address:
+            port = int(address.rpartition(":")[2].partition("/")[0])
+            monkeypatch.setattr(metrics._FleetCollector, "collect", slowly)
+            async with anyio.create_task_group() as group:
+                group.start_soon(anyio.to_thread.run_sync, flood, port)
+                assert "rtee_up" in await anyio.to_thread.run_sync(_scraped, port)
 
 
 async def test_the_command_says_where_it_serves(

@@ -173,7 +173,7 @@ async def test_two_hands_and_three_clients_with_certificates(
         authority.add_hand(site, name, tmp_path / name)
     strangers = {name: tmp_path / f"{name}.pem" for name in ("new", "old")}
     for name, file in strangers.items():
-        authority.write_private(file, authority.add_client(site, name, Role.OPERATOR)[1])
+        write_together({file: authority.add_client(site, name, Role.OPERATOR)[1]}, private=True)
     authority.revoke(site, "old")
     endpoint = free_endpoint().replace("tcp/", "tls/")
 

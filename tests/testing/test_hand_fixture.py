@@ -12,7 +12,7 @@ import pytest
 from patient import patient_gripper
 
 from rtee.errors import ConfigError
-from rtee.remote.directory import VARIABLE, running
+from rtee.remote.directory import VARIABLE, hands_running
 from rtee.testing.running import running_hand
 
 pytest_plugins = ["pytester"]
@@ -122,7 +122,7 @@ def test_a_test_does_not_move_a_hand_that_runs_already(
             ):
                 hand.do("grasp")
         else:  # an address in the environment leads to the real hand
-            monkeypatch.setenv("RTEE_CONNECT", running()["robotiq_2f_85"].endpoints[0])
+            monkeypatch.setenv("RTEE_CONNECT", hands_running()["robotiq_2f_85"].endpoints[0])
             monkeypatch.setenv(VARIABLE, str(other / "run"))
             with running_hand("robotiq_2f_85", folder=other, driver="kinematic") as hand:
                 assert hand.do("grasp").reached

@@ -47,8 +47,8 @@ _DECODERS: Final[Mapping[str, str]] = {
 }
 """FFmpeg's decoders, by a word in the format of a message."""
 
-_MOST_PIXELS: Final = 64_000_000
-"""Most pixels of an image that is decoded: those of the largest cameras."""
+_MOST_PIXELS: Final = 200_000_000
+"""Most pixels of an image that is decoded: more than the largest cameras have."""
 
 _MESSAGE: Final = struct.Struct("<HIQQ")
 """Head of a message: channel, number, log time, publish time [ns since 1970]."""
