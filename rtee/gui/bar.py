@@ -35,7 +35,12 @@ _BUTTONS: Final = re.compile(r"stop|live|narrow|time [0-9]{1,9}\.[0-9]{3}")
 
 _PARTS: Final = "".join(
     f"<{tag}>{Path(__file__).with_name(name).read_text(encoding='utf-8')}</{tag}>"
-    for tag, name in (("style", "bar.css"), ("script", "bar.js"), ("script", "plots.js"))
+    for tag, name in (
+        ("style", "bar.css"),
+        ("script", "bar.js"),
+        ("script", "fields.js"),
+        ("script", "plots.js"),
+    )
 )
 
 

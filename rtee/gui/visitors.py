@@ -25,6 +25,7 @@ from typing import Any, Final, cast
 import msgspec.msgpack
 import viser
 import websockets.asyncio.server
+from viser._messages import GuiUpdateMessage
 from viser.infra import _infra
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
@@ -163,12 +164,25 @@ def _fits(value: object, control: Any) -> bool:
         same = isinstance(value, list) and len(value) == len(present)
         return same and all(map(_is_like, cast("list[object]", value), present))
     like = _is_like(value, present) and (options is None or value in options)
-    if not like or getattr(control, "step", None) is None:
+    if not like or not _is_number(control):
         return like
-    # A page sends what is typed before it moves it into the range, where it rounds to steps.
+    # A slider rounds to steps, of which the last may lie beyond its end.
     number, low, high = cast("float", value), control.min, control.max
     return (low is None or number > low - control.step) and (
         high is None or number < high + control.step
+    )
+
+
+def _is_number(control: Any) -> bool:
+    """Return whether a control is a slider or a number field."""
+    return getattr(control, "step", None) is not None
+
+
+def _show_again(control: Any) -> None:
+    """Send a control's value to its pages; viser sends only values that have changed."""
+    impl = control._impl  # noqa: SLF001
+    impl.gui_api._websock_interface.queue_message(  # noqa: SLF001
+        GuiUpdateMessage(impl.uuid, {"value": impl.value})
     )
 
 
@@ -323,7 +337,8 @@ class Visitors:
     ) -> bool:
         """Return whether a person of this role may send a message from a page.
 
-        ``window`` is the page's window, which may have controls of its own.
+        ``window`` is the page's window, which may have controls of its own. A page whose number is
+        refused gets the value in force, with which a goal would run.
         """
         try:
             # viser's page sends only binary messages; text is not from it.
@@ -340,7 +355,12 @@ class Visitors:
         pages = [page for page in (window, self._server) if page is not None]
         found = (page.gui._gui_input_handle_from_uuid.get(read.uuid) for page in pages)  # noqa: SLF001
         control = next((each for each in found if each is not None), None)
-        return control is not None and _fits(read.updates.value, control)
+        if control is None:
+            return False
+        fits = _fits(read.updates.value, control)
+        if not fits and _is_number(control):
+            _show_again(control)
+        return fits
 
     def _judged(self, process: Process | None) -> Process:
         def judge(connection: ServerConnection, request: Request) -> Response | None:

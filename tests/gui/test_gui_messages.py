@@ -19,7 +19,7 @@ import viser._messages as viser_messages
 from remote.serving import Served, make_hand, make_library, serving, until
 from websockets.sync.connection import Connection
 
-from benchmarks.gui_onlooker import admitted, controls, stop, window
+from benchmarks.gui_onlooker import admitted, controls, messages, stop, window
 from rtee.gui.access import Access, PageRole
 from rtee.gui.app import App
 from rtee.gui.visitors import Visitors
@@ -158,6 +158,34 @@ def test_a_value_is_admitted_by_the_type_of_its_control() -> None:
                 message = {"type": "GuiUpdateMessage", "uuid": control._impl.uuid}
                 data = msgspec.msgpack.encode({**message, "updates": updates})
                 assert visitors.admits(PageRole.OPERATOR, data) is admitted, (control.label, value)
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+@pytest.mark.parametrize("refused", [5.0, math.inf, "x"])
+async def test_a_page_whose_number_is_refused_shows_the_number_in_force(refused: object) -> None:
+    access = Access()
+    visitors = Visitors(access)
+    server = visitors.open_server(0)
+    in_thread = anyio.to_thread.run_sync
+    try:
+        slider = server.gui.add_slider("width", 0.0, 1.0, 0.1, 0.5)
+
+        def ask() -> object:
+            visit = admitted(access.links(server.get_port())[PageRole.OPERATOR])
+            with window(visit) as connection:
+                controls(connection, "width")
+                update = {"type": "GuiUpdateMessage", "uuid": slider._impl.uuid}
+                connection.send(msgspec.msgpack.encode({**update, "updates": {"value": refused}}))
+                for frame in connection:
+                    for message in messages(frame) if isinstance(frame, bytes) else ():
+                        if message["type"] == "GuiUpdateMessage":
+                            return message["updates"]
+                return None
+
+        assert await in_thread(ask) == {"value": 0.5}
+        assert slider.value == 0.5
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()

@@ -13,7 +13,7 @@ from rtee.remote.blocking import BlockingHand
 
 from .marks import in_a_browser
 from .running import GRIPPER
-from .window import Window
+from .window import Window, enter
 
 pytestmark = in_a_browser
 
@@ -37,13 +37,13 @@ def test_jog_moves_the_hand_while_nobody_else_can(window: Window, other: Blockin
     with pytest.raises(LeaseHeld, match="gui"):
         other.open()
     slider = window.field("finger_joint [rad]")
-    slider.fill("0.42")
+    enter(slider, "0.42")
     window.until(lambda: abs(other.state().position[0] - 0.42) <= 0.005)
     window.button("−").click()
     window.until(lambda: abs(other.state().position[0] - 0.4) <= 0.005)
     hold.click()
     window.status("control: free")
-    slider.fill("0.7")
+    enter(slider, "0.7")
     window.wait(slider, "field => Math.abs(field.value - 0.4) < 0.01")
     assert other.state().position[0] == pytest.approx(0.4, abs=0.01)
 
@@ -56,7 +56,7 @@ def test_the_hand_follows_the_sliders_as_a_stream(window: Window, other: Blockin
     window.status("control: this window")
     slider = window.field("finger_joint [rad]")
     for position in (0.2, 0.5, 0.3):
-        slider.fill(f"{position}")
+        enter(slider, f"{position}")
         window.until(lambda at=position: abs(other.state().position[0] - at) <= 0.005)
         stream = other.status().stream
         assert stream.stream.startswith("gui")
@@ -65,7 +65,7 @@ def test_the_hand_follows_the_sliders_as_a_stream(window: Window, other: Blockin
     follow.click()
     window.until(lambda: other.status().stream.stream == "")
     assert other.state().position[0] == pytest.approx(0.3, abs=0.01)
-    slider.fill("0.6")  # not a stream any more, but jogged to
+    enter(slider, "0.6")  # not a stream any more, but jogged to
     window.until(lambda: abs(other.state().position[0] - 0.6) <= 0.005)
     hold.click()
     window.status("control: free")

@@ -130,12 +130,12 @@ class Window:
         return found.locator(ROW).locator("input:not([type=hidden])").last
 
     def type(self, label: str, text: str, within: Locator | None = None) -> None:
-        """Type something into a field, and wait until the page has sent it."""
+        """Type something into a field, enter it, and wait until the page has sent it."""
         field = self.field(label, within)
         if field.input_value() == text:
             return
         sent = self.page.evaluate("window.sent.length")
-        field.fill(text)
+        enter(field, text)
         self.page.wait_for_function(
             "([sent, text]) => window.sent.slice(sent).includes(text)", arg=[sent, text]
         )
@@ -219,6 +219,12 @@ class Window:
 
         _until(self.page, differs)
         return now
+
+
+def enter(field: Locator, text: str) -> None:
+    """Type something into a number field, and enter it."""
+    field.fill(text)
+    field.press("Enter")
 
 
 def told(page: Page, text: str | re.Pattern[str]) -> None:

@@ -1,0 +1,127 @@
+"""Number fields: what is typed counts once it is entered, and only in range."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from rtee.remote.blocking import BlockingHand
+
+from .marks import in_a_browser
+from .window import Window, enter
+
+pytestmark = in_a_browser
+
+
+def _sent(window: Window) -> list[str]:
+    """Return the values and clicks that the page has sent."""
+    return list(window.page.evaluate("window.sent"))
+
+
+@pytest.mark.parametrize("text", ["", "abc", "-5", "900", "30,5", "1e1", "5-"])
+def test_a_width_that_is_none_grasps_nothing_and_says_so(
+    window: Window, other: BlockingHand, text: str
+) -> None:
+    other.open()
+    panel = window.folder("Hold an object", unfold=True)
+    window.type("Width [mm]", "30", panel)
+    window.type("Width [mm]", "31", panel)
+    before = _sent(window)
+    field = window.field("Width [mm]", panel)
+    field.fill(text)
+    window.button("Grasp", panel).click()
+    said = window.says(
+        re.compile(
+            rf"^Width \[mm\] should be [\d.]+ to [\d.]+, not {text or 'empty'}; it is 31 again, "
+            "and Grasp was not pressed$"
+        ),
+        panel,
+    )
+    assert field.input_value() == "31"
+    assert _sent(window) == before
+    window.button("Grasp", panel).click()
+    said.wait_for(state="detached")
+    window.until(lambda: other.state().position[0] > 0.05)
+    assert field.input_value() == "31"
+    window.button("Cancel").click()
+    window.status("control: free")
+
+
+def test_what_is_on_the_way_to_a_number_is_not_sent(window: Window, other: BlockingHand) -> None:
+    panel = window.folder("Hold an object", unfold=True)
+    window.type("Width [mm]", "30", panel)
+    field, before = window.field("Width [mm]", panel), _sent(window)
+    field.select_text()
+    field.press_sequentially("45.57")
+    assert _sent(window) == before
+    field.press("Escape")
+    assert field.input_value() == "30"
+    field.select_text()
+    field.press_sequentially("45.5")
+    field.press("Tab")
+    window.until(lambda: _sent(window) == [*before, "45.5"])
+    window.type("Width [mm]", "30", panel)
+
+
+def test_a_field_without_a_slider_has_its_range_too(window: Window) -> None:
+    window.tab("Simulate")
+    mass, before = window.field("Mass [kg]"), _sent(window)
+    enter(mass, "0")
+    window.says("Mass [kg] should be 0.001 to 100, not 0; it is 0.1 again")
+    assert _sent(window) == before
+    window.type("Mass [kg]", "0.25")
+    assert mass.input_value() == "0.25"
+    window.type("Mass [kg]", "0.1")
+
+
+def test_a_jogged_hand_goes_only_to_what_was_entered(window: Window, other: BlockingHand) -> None:
+    other.open()
+    window.tab("Teach")
+    hold = window.field("Jog (holds the hand)")
+    hold.click()
+    window.status("control: this window")
+    field = window.field("finger_joint [rad]")
+    enter(field, "0.6")
+    window.until(lambda: abs(other.state().position[0] - 0.6) <= 0.005)
+    before = _sent(window)
+    field.select_text()
+    field.press_sequentially("0.4")
+    assert _sent(window) == before
+    enter(field, "9")
+    window.says(re.compile(r"finger_joint \[rad\] should be 0 to .*, not 9; it is 0\.\d+ again"))
+    assert _sent(window) == before
+    assert other.state().position[0] == pytest.approx(0.6, abs=0.01)
+    enter(field, "0.4")
+    window.until(lambda: abs(other.state().position[0] - 0.4) <= 0.005)
+    hold.click()
+    window.status("control: free")
+
+
+def test_a_hand_that_moves_meanwhile_does_not_change_what_is_typed(
+    window: Window, other: BlockingHand
+) -> None:
+    other.open()
+    window.tab("Teach")
+    field = window.field("finger_joint [rad]")
+    window.wait(field, "field => Math.abs(field.value) < 0.01")
+    field.select_text()
+    field.press_sequentially("0.")
+    other.do("PinchTight", "finger_1", "finger_2", intensity=0.5)
+    half = other.state().position[0]
+    window.wait(field, f"field => Math.abs(field.defaultValue - {half}) < 0.01")
+    field.press_sequentially("25")
+    assert field.input_value() == "0.25"
+    field.press("Escape")
+    assert float(field.input_value()) == pytest.approx(half, abs=0.01)
+
+
+def test_a_wrong_field_keeps_nobody_from_opening_the_hand(
+    window: Window, other: BlockingHand
+) -> None:
+    other.do("PinchTight", "finger_1", "finger_2", intensity=0.5)
+    panel = window.folder("Hold an object", unfold=True)
+    window.field("Width [mm]", panel).fill("abc")
+    window.button("Open hand").click()
+    window.until(lambda: other.state().position[0] <= 0.02)
+    window.says(re.compile("^Width .* again$"), panel)
