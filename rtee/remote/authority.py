@@ -32,6 +32,7 @@ from rtee.remote.credentials import (
     Person,
     check_private,
     identity_text,
+    made_by,
     person,
 )
 
@@ -195,7 +196,7 @@ def _authority(folder: Path) -> _Authority:
     """Return the authority in a folder; raises `ConfigError` if its files cannot be used."""
     path = folder / AUTHORITY_KEY
     if not path.is_file():
-        raise ConfigError("is missing; 'rtee secure init HAND' makes it", path=path)
+        raise ConfigError(f"is missing; {made_by(folder)}", path=path)
     check_private(path)
     key = _loaded(path, lambda data: serialization.load_pem_private_key(data, None))
     certificate = _loaded(folder / AUTHORITY, x509.load_pem_x509_certificate)

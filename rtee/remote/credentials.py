@@ -80,6 +80,11 @@ def config_folder() -> Path:
     return (Path(base) if base else Path.home() / ".config") / "rtee"
 
 
+def made_by(folder: Path) -> str:
+    """Return the words for the command that makes a file in a hand's folder of certificates."""
+    return f"'rtee secure init {folder.name}' makes it"
+
+
 def secure_folder(hand: str) -> Path:
     """Return the folder with a hand's certificates.
 
@@ -127,7 +132,7 @@ class Credentials:
             return True
         except OSError as error:
             raise ConfigError(
-                f"cannot be read: {reason(error)}; 'rtee secure init HAND' makes it", path=path
+                f"cannot be read: {reason(error)}; {made_by(self.folder)}", path=path
             ) from None
 
     def _check_owner(self) -> None:
@@ -178,9 +183,7 @@ class Credentials:
         self.read()
         for name in (AUTHORITY, HAND, HAND_KEY):
             if not (self.folder / name).is_file():
-                raise ConfigError(
-                    "is missing; 'rtee secure init HAND' makes it", path=self.folder / name
-                )
+                raise ConfigError(f"is missing; {made_by(self.folder)}", path=self.folder / name)
         check_private(self.folder / HAND_KEY)
         return {
             "authority": str(self.folder / AUTHORITY),

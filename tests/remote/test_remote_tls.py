@@ -479,3 +479,16 @@ def test_doctor_tells_what_expires(
     assert ann.remedy.startswith("rtee secure add-client robotiq_2f_85 ann")
     secure.renew("robotiq_2f_85", days=1)
     assert secure.checks(str(folder))[0].remedy == "rtee secure renew robotiq_2f_85"
+
+
+@pytest.mark.parametrize("file", [credentials.PEOPLE, credentials.HAND_KEY])
+def test_a_missing_certificate_names_the_command_for_this_hand(tmp_path: Path, file: str) -> None:
+    from rtee.remote import authority
+
+    folder = tmp_path / "left_jaw"
+    with pytest.raises(ConfigError, match="'rtee secure init left_jaw' makes it"):
+        authority.add_client(folder, "anna", Role.OPERATOR)
+    authority.make_authority(folder, "left_jaw")
+    (folder / file).unlink()
+    with pytest.raises(ConfigError, match="'rtee secure init left_jaw' makes it"):
+        credentials.Credentials(folder).files()
