@@ -49,9 +49,9 @@ object weighs. In simulation, what is held shows 0.14 of the force at least, by 
 
 _HANDED: Final = 0.3
 """Share of the force of all fingers of a motor that one of them hands over to one that bore nothing
-when what they hold turns or moves. In simulation, 0.44 to 0.5 if it moves by more than 5 mm, and
-0.18 at most while it stays: where two fingers bear a half each, a third one that joins them leaves
-a third to each."""
+when what they hold turns. In simulation, 0.44 to 0.55 where it turns out of two fingers and another
+pair catches it, 4 to 21 mm from where it was, and 0.18 at most otherwise: where two fingers bear a
+half each, a third one that joins them leaves a third to each."""
 
 _GIVES: Final = 2e-4
 """What is pressed on gives way while the tips come nearer by more than this [m] within `STILL`:
