@@ -151,7 +151,8 @@ class Installation:
     def install(self, hand: str, files: Mapping[str, bytes]) -> dict[str, FileState]:
         """Write a hand's files, enable its service, and return the state of each file, by path.
 
-        Raises `ConfigError` if a file cannot be written; then none is.
+        Raises `ConfigError` if a file cannot be written; then none is. If it is interrupted, or the
+        service cannot be enabled, `uninstall` finds all that was written.
         """
         states = self.compare(hand, files)
         # The hand may need fewer files than at its last installation.
