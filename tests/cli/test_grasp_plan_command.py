@@ -110,7 +110,7 @@ def test_a_name_that_is_taken_is_refused_unless_it_is_to_be_replaced(run: Run) -
     [
         (["--object", "box:0.14x0.2x0.3"], "does not fit: width 140 mm, the hand opens to 8"),
         (["--object", "cone:1x1"], "'cone:1x1' is not an object"),
-        (["--object", ""], "'' is not an object"),
+        (["--object", ""], "--object is empty"),
         (["--object", "sphere:0.02", "--table", "0,0,1,0.03"], "it would be below the table"),
         (["--object", "sphere:-0.1"], "is not an object"),
         (["--object", "sphere:nan"], "is not an object"),

@@ -188,7 +188,7 @@ def test_a_clock_set_back_makes_no_recording_older(claw: Hand, tmp_path: Path) -
     Log(claw, settings(tmp_path)).story()
     late = tmp_path / "claw_20300101T000000000Z_000.mcap"
     recorded(tmp_path)[0].rename(late)
-    log = Log(claw, settings(tmp_path, max_total_size=400_000, max_file_size=30_000))
+    log = Log(claw, settings(tmp_path, max_total_size=450_000, max_file_size=30_000))
     log.run(0, 200)
     log.writer.flush()
     assert late.exists()
