@@ -392,9 +392,12 @@ def lost(
         return True
     if word is not None:
         return not word
-    # Further than noise, but at most half of the remaining closing travel.
+    # Further than noise, but where nothing is felt at most half of the remaining closing travel: an
+    # actuator whose fingers feel the object may creep by all of it.
     enough = max(3.0 * tolerance, _LOST_MOVE * span if math.isfinite(span) else 0.0)
-    if moved <= min(enough, 0.5 * abs(push)) or moved <= 0.5 * tolerance:
+    if felt is None:
+        enough = min(enough, 0.5 * abs(push))
+    if moved <= enough or moved <= 0.5 * tolerance:
         return False
     # Half of the threshold: noise must not end a grasp that has just been found.
     return math.isnan(effort) or effort < 0.5 * least

@@ -121,6 +121,8 @@ def test_what_is_held(felt: bool | None, change: dict[str, object], expected: bo
         (None, {"moved": 0.1, "effort": NAN}, True),
         (None, {"moved": 0.025, "effort": 0.1}, False),  # soft things give way as far
         (None, {"moved": 0.02, "push": 0.03, "effort": 0.1}, True),  # half of what is left
+        (True, {"moved": 0.02, "push": 0.03, "effort": 0.1}, False),  # it creeps, and is felt
+        (True, {"moved": 0.1, "push": 0.03, "effort": 0.1}, True),
     ],
 )
 def test_what_is_lost(felt: bool | None, change: dict[str, object], expected: bool) -> None:
