@@ -15,6 +15,9 @@ from rtee.errors import BusBroken, BusTimeout, FrameError
 
 F = TypeVar("F")
 
+_UNRETURNED = 1024
+"""Bytes sent last that are kept to recognise their echo: several frames of every protocol."""
+
 _NOTHING: Any = object()
 """Result of an answer's future if no answer came in time."""
 
@@ -64,6 +67,8 @@ class SerialBus(Bus):
         self._timer: asyncio.TimerHandle | None = None
         self._pause = Pause()
         self._last = 0.0
+        self._unreturned = b""  # bytes sent that an adapter may still return
+        self._other = False  # whether bytes came that are not an echo
 
     async def transact(
         self,
@@ -110,13 +115,13 @@ class SerialBus(Bus):
         try:
             self.check()
             counters.transactions += 1
-            before = counters.bytes_received
             for attempt in range(retries + 1):
                 share = (end - monotonic.now()) / (retries + 1 - attempt)
                 if share <= 0.0:
                     break
                 if attempt:
                     counters.retries += 1
+                before = counters.bytes_received
                 try:
                     # A future instead of a coroutine saves an iteration of the event loop.
                     frame = await self._ask(request, parser, share, accept, encode)
@@ -125,8 +130,9 @@ class SerialBus(Bus):
                 if frame is not _NOTHING:
                     return cast("F", frame)
                 counters.timeouts += 1
-            # Invalid bytes and silence are different errors.
-            received = counters.bytes_received - before
+                # Invalid bytes and silence are different errors; an adapter's echo of the request,
+                # and nothing else, is silence.
+                received += counters.bytes_received - before if self._other else 0
         finally:
             counters.checksum_errors += parser.errors - errors
             self._lock.release()
@@ -150,6 +156,7 @@ class SerialBus(Bus):
         loop = asyncio.get_running_loop()
         answer = self._answer = loop.create_future()
         data = request if isinstance(request, bytes) else request()
+        self._other = False
 
         def ask() -> None:
             if answer.done():
@@ -231,6 +238,7 @@ class SerialBus(Bus):
         if self._transport is None:
             raise BusBroken(self.name, "no link")
         self._count("tx", data, monotonic.now())
+        self._unreturned = (self._unreturned + data)[-_UNRETURNED:]
         self._transport.write(data)
         # After writing, since the gap begins with the last byte.
         self._last = monotonic.now()
@@ -238,6 +246,10 @@ class SerialBus(Bus):
     def _received(self, data: bytes) -> None:
         self._last = monotonic.now()
         self._count("rx", data, self._last)
+        if self._unreturned.startswith(data):
+            self._unreturned = self._unreturned[len(data) :]
+        else:
+            self._unreturned, self._other = b"", True
         if self._parser is None or self._answer is None:
             self.counters.strays += len(data)
             if self._listener is not None:
@@ -266,7 +278,7 @@ class SerialBus(Bus):
 
     async def _open(self) -> None:
         await self._close()
-        self._echo = _Echo()
+        self._echo, self._unreturned = _Echo(), b""
         transport, protocol = await open_link(
             self._address(),
             self.line,
@@ -301,26 +313,30 @@ class _Echo:
 
     def __init__(self) -> None:
         self.possible = True
-        self._seen = False
+        self._proven = False
+        self._returned = False
         self._request = b""
+        self._half = 1
         self._before = 0
 
     def begin(self, request: bytes, received: int) -> None:
         """Record a request, and the number of bytes received before it."""
-        self._request, self._before = request, received
+        self._request, self._before, self._returned = request, received, False
+        self._half = max(1, len(request) // 2)
 
     def returned(self, raw: bytes) -> bool:
         """Return whether a frame with these bytes is the echo of the request."""
         if not self.possible or raw != self._request:
             return False
         self._request = b""  # an equal frame that follows is the answer
-        self._seen = True
+        self._returned = True
         return True
 
     def answered(self, raw: bytes, received: int) -> None:
         """Record the bytes of an answer, and the number of bytes received by then."""
-        # With an echo, even a damaged one, there would be more bytes than those of the answer.
-        self.possible = self._seen or received - self._before > len(raw)
+        # A damaged echo still has most of its bytes; noise is a byte or two.
+        self._proven |= self._returned
+        self.possible = self._proven or received - self._before - len(raw) >= self._half
 
 
 class _Protocol(asyncio.Protocol):

@@ -7,11 +7,14 @@ from typing import Any
 
 import pytest
 
+from rtee import monotonic
 from rtee.buses.emulator import Emulator
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
-from rtee.drivers.diagnosis.scan import ScanPlan, scan, serial_probes
+from rtee.drivers.diagnosis.scan import Address, ScanPlan, scan, serial_probes
 from rtee.drivers.emulators import make_emulator
+from rtee.drivers.schunk_svh.codec import BAUDRATE
+from rtee.drivers.schunk_svh.link import SvhLink
 from rtee.errors import ConfigError
 from rtee.testing import Session
 from tests.drivers.test_worn_contract import suite_of
@@ -66,12 +69,53 @@ async def test_a_scan_finds_the_device_behind_an_echo(
     assert found.found[0].what.startswith(what)
 
 
-async def test_a_scan_finds_nothing_on_a_line_that_only_echoes() -> None:
-    silent = echoing("robotiq_2f", unit=99)
+async def scanned(*, echo: bool) -> tuple[Address, float]:
+    """Scan a line on which nothing answers; return how long that takes, too [s]."""
+    options = {"emulator": {"echo": echo, "unit": 99}, "port": "/dev/emulated"}
+    silent = make_emulator("robotiq_2f", options)
+    begin = monotonic.now()
     with SimulatedLine([silent]) as line:
         async with BusPool() as pool:
             [found] = await scan([ScanPlan(line.address, probes=serial_probes([9]))], pool)
+    return found, monotonic.now() - begin
+
+
+async def test_a_scan_of_a_line_that_only_echoes_finds_nothing_and_takes_echoes_for_silence() -> (
+    None
+):
+    found, took = await scanned(echo=True)
     assert found.found == ()
+    # In simulated time. If anything but silence, every number of every family is asked again.
+    assert took < 3.0 * (await scanned(echo=False))[1]
+
+
+async def test_a_gripper_without_function_23_is_driven_behind_an_echo() -> None:
+    case = suite_of("robotiq_2f").case
+    emulated = {**case.options.get("emulator", {}), "echo": True, "functions": (3, 6, 16)}
+    async with Session(replace(case, options={**case.options, "emulator": emulated})) as session:
+        await session.start()
+        goal = list(case.between()[1])
+        assert session.near(await session.reach(goal), goal)
+
+
+async def test_noise_at_the_first_answer_makes_no_echo_of_the_answers_after_it() -> None:
+    """An SVH's answer equals its request where all data are zero."""
+    hand = make_emulator("schunk_svh", {"emulator": {}, "port": "/dev/emulated"})
+    feed, noise = hand.feed, [b"\0"]
+
+    def noisy(data: bytes, now: float) -> list[bytes]:
+        return [(noise.pop() if noise else b"") + answer for answer in feed(data, now)]
+
+    hand.feed = noisy  # type: ignore[method-assign]
+    with SimulatedLine([hand]) as line:
+        async with BusPool() as pool:
+            bus = await pool.serial(line.address, owner="x", baudrate=BAUDRATE, fresh=True)
+            link = SvhLink(bus, 0.05, 2)
+            await link.firmware()
+            assert not noise
+            await link.state()
+            await link.feedback(3)
+            await bus.detach("x")
 
 
 def test_an_echo_is_there_or_not() -> None:
