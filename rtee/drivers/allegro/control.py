@@ -39,6 +39,7 @@ class JointControl:
         torque: Torques sent last [N·m].
         stamp: When the last set was complete [s].
         sets: Number of complete sets so far.
+        let_go: Fingers that were missing when it removed all references; ``None``: it has not.
     """
 
     def __init__(
@@ -69,6 +70,7 @@ class JointControl:
         self._pause = 0.5 * period if period else math.inf
         self._heard = -math.inf
         self._parted = False
+        self.let_go: list[int] | None = None
         self._partial = 0
         self._stamps = [-math.inf] * FINGERS
         self._most_integral = most_integral
@@ -111,7 +113,8 @@ class JointControl:
         # All four, so that all torques follow from positions of the same time.
         if len(self._fresh) < FINGERS:
             self._partial += 1
-            return self._none() if self.sets and self._partial == _PARTIAL else None
+            # Repeated while the finger is missing, since a frame may get lost.
+            return None if self._partial % _PARTIAL or not self.sets else self._none()
         self._partial = 0
         measured = [angle for f in range(FINGERS) for angle in self._fresh[f]]
         self._fresh.clear()
@@ -119,14 +122,16 @@ class JointControl:
         return self._torques()
 
     def missing(self, since: float) -> list[int]:
-        """Return the fingers that have sent no frame since a time [s], if others have."""
-        silent = [finger for finger, stamp in enumerate(self._stamps) if stamp < since]
+        """Return the fingers that have sent no frame after a time [s], if others have."""
+        silent = [finger for finger, stamp in enumerate(self._stamps) if stamp <= since]
         return silent if len(silent) < FINGERS else []
 
     def _none(self) -> list[list[int]]:
         """Return no torque for any joint."""
         self.torque = [0.0] * JOINTS
-        self._integral = [0.0] * JOINTS
+        # Without references, too: until the finger is back, joints may sink or be pushed.
+        self.limp()
+        self.let_go = self.missing(self.stamp)
         return [[0] * PER_FINGER] * FINGERS
 
     def _measure(self, measured: list[float], stamp: float) -> None:

@@ -163,8 +163,15 @@ def wire_order(spec: DeviceSpec, options: AllegroOptions) -> list[int]:
 _SERVO_OFF = 0x100
 """Code of the driver's own fault "motors off", above the eight status bits of the hand."""
 
+_LET_GO = 0x101
+"""Code of the driver's own fault "limp": a finger sent no positions."""
+
 _PAUSE = 0.0005
 """Pause after switching the motors on or off [s]; the vendor's driver waits 0.1 ms."""
+
+
+def _of(fingers: Sequence[int]) -> str:
+    return f" of {', '.join(codec.NAMES[finger] for finger in fingers)}" if fingers else ""
 
 
 class AllegroDriver(Driver):
@@ -264,8 +271,12 @@ class AllegroDriver(Driver):
         # Nothing but the side of a version 5 depends on it, so a hand may keep it to itself.
         serial = await heard(link.serial()) or ""
         side = codec.side_of(info, serial)
-        if options.side is not None and side and side != options.side:
-            raise self.stranger(f"a {options.side} hand", f"a {side} one")
+        if options.side is not None and side != options.side:
+            # Also without an answer: a hand driven as the other one bends joints the wrong way.
+            raise self.stranger(
+                f"a {options.side} hand",
+                f"a {side} one" if side else "one that does not report its side",
+            )
         return info, serial
 
     async def _first_set(self) -> None:
@@ -279,6 +290,7 @@ class AllegroDriver(Driver):
     async def activate(self) -> None:
         """Switch the motors on and hold the measured posture."""
         self._hold()
+        self.control.let_go = None
         try:
             await self.link.order(codec.Command.SYSTEM_ON)
             await asyncio.sleep(_PAUSE)
@@ -299,6 +311,12 @@ class AllegroDriver(Driver):
         return ""
 
     def _hold(self) -> None:
+        try:
+            self._check_age()
+        except BusTimeout:
+            # Since then the hand may have sunk, or been pushed, so it would jump to that position.
+            self._end_control()
+            raise
         for joint in self._joints:
             self.control.refer(joint, self.control.position[joint])
 
@@ -310,6 +328,10 @@ class AllegroDriver(Driver):
     def _go_limp(self) -> None:
         """End the control and send zero torques; raises `BusError`."""
         self.active = False
+        self._end_control()
+
+    def _end_control(self) -> None:
+        """Remove all references and send zero torques; raises `BusError`."""
         self.control.limp()
         if self.connected:
             # The hand may store its last torques and apply them when it is switched on again.
@@ -346,12 +368,13 @@ class AllegroDriver(Driver):
         if self._count % self.options.info_every == 0:
             self._refuse(await self.link.info())
         control = self.control
-        # Positions are not requested: the next ones are due after a period.
-        longest = self._period(control.scale.version) * 1e-3 + self.options.deadline
-        if (now := monotonic.now()) - control.stamp > longest:
-            silent = [codec.NAMES[finger] for finger in control.missing(now - longest)]
-            of = f" of {', '.join(silent)}" if silent else ""
-            raise BusTimeout(bus.name, f"no positions{of} for more than {longest:g} s")
+        if self.active and control.let_go is not None:
+            raise self.fault(
+                _LET_GO,
+                f"limp: no positions{_of(control.let_go)}",
+                hint="check that finger's cable; `rtee recover` holds the hand where it is then",
+            )
+        self._check_age()
         fresh, self._returned = control.sets != self._returned, control.sets
         info = self._info
         temperature = math.nan if info is None else float(info.temperature)
@@ -365,9 +388,19 @@ class AllegroDriver(Driver):
             fresh=fresh,
         )
 
+    def _check_age(self) -> None:
+        """Raise `BusTimeout` if the newest positions are old."""
+        # Positions are not requested: the next ones are due after a period.
+        longest = self._period(self.control.scale.version) * 1e-3 + self.options.deadline
+        if (now := monotonic.now()) - self.control.stamp > longest:
+            of = _of(self.control.missing(now - longest))
+            raise BusTimeout(self.link.bus.name, f"no positions{of} for more than {longest:g} s")
+
     async def move(self, reference: Reference) -> None:
-        """Change the reference and the limits of the joint control."""
+        """Change the reference and the limits of the joint control; a limp hand stays limp."""
         self.link.bus.check()
+        if self.control.let_go is not None:
+            return
         for i, joint in enumerate(self._joints):
             if reference.mask[i]:
                 self.control.limit(joint, float(reference.max_effort[i]))

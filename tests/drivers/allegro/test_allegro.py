@@ -381,16 +381,21 @@ async def test_a_hand_that_falls_silent_is_noticed(options: dict[str, Any], late
             await made.sense()
 
 
-@pytest.mark.anyio
-async def test_a_hand_that_does_not_tell_its_serial_number_is_driven(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def keep_the_serial_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let hands answer no request for their serial number."""
     told = AllegroEmulator._report
 
     def report(emulator: AllegroEmulator, command: int) -> list[CanFrame]:
         return [] if command == Command.SERIAL else told(emulator, command)
 
     monkeypatch.setattr(AllegroEmulator, "_report", report)
+
+
+@pytest.mark.anyio
+async def test_a_hand_that_does_not_tell_its_serial_number_is_driven(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    keep_the_serial_number(monkeypatch)
     async with BusPool() as pool, connected(pool, device()) as made:
         assert made.capabilities.identity["serial"] == "not reported"
         await made.activate()
@@ -406,12 +411,82 @@ async def test_a_finger_that_falls_silent_is_named_and_the_hand_goes_limp() -> N
         # Well before anybody asks for the state: the hand would keep its last torques.
         await anyio.sleep(0.03)
         assert not any(joint.torque for joint in hand(pool).joints)
-        await anyio.sleep(0.1)
-        with pytest.raises(BusTimeout, match=r"no positions of ring for more than 0\.103 s"):
+        with pytest.raises(DeviceFault, match=r"limp: no positions of ring.*rtee recover"):
             await made.sense()
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("stopped", [False, True])
+async def test_a_hand_that_went_limp_stays_so_until_it_is_recovered_where_it_is(
+    stopped: bool,
+) -> None:
+    async with BusPool() as pool, connected(pool, device(info_every=10_000)) as made:
+        await made.activate()
+        goal = Reference.at(np.full(16, 1.0))
+        await made.move(goal)
+        await until(lambda: max(abs(joint.torque) for joint in hand(pool).joints) > 0.1)
+        hand(pool).inject("silent_finger")
+        await anyio.sleep(0.15)
+        for joint in hand(pool).joints:
+            joint.angle -= 0.2
+        if stopped:  # with positions that are too old to be held
+            await made.stop()
         hand(pool).clear()
-        await until(lambda: any(joint.torque for joint in hand(pool).joints))
-        await made.sense()
+        sets = made.control.sets
+        await made.move(goal)
+        await until(lambda: made.control.sets > sets + 10)
+        assert not any(joint.torque for joint in hand(pool).joints)
+        with pytest.raises(DeviceFault, match="limp"):
+            await made.sense()
+        await made.recover()
+        pushed = [joint.angle for joint in hand(pool).joints]
+        await made.activate()
+        await anyio.sleep(0.1)
+        assert (await made.sense()).position == pytest.approx(pushed, abs=0.02)
+
+
+@pytest.mark.anyio
+async def test_zero_torques_that_get_lost_are_sent_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with BusPool() as pool, connected(pool, device(info_every=10_000)) as made:
+        await made.activate()
+        await made.move(Reference.at(np.full(16, 1.0)))
+        await until(lambda: max(abs(joint.torque) for joint in hand(pool).joints) > 0.1)
+        send, lost = made.link.torques, []
+
+        def torques(counts: Any) -> None:
+            if not lost and not any(map(any, counts)):
+                lost.append(counts)
+                raise BusTimeout("can0", "the queue is full")
+            send(counts)
+
+        monkeypatch.setattr(made.link, "torques", torques)
+        hand(pool).inject("silent_finger")
+        await until(lambda: lost and not any(joint.torque for joint in hand(pool).joints))
+
+
+@pytest.mark.anyio
+async def test_a_stop_of_a_hand_without_positions_takes_its_last_torques_away() -> None:
+    async with BusPool() as pool, connected(pool, device(info_every=10_000)) as made:
+        await made.activate()
+        await made.move(Reference.at(np.full(16, 1.0)))
+        await until(lambda: max(abs(joint.torque) for joint in hand(pool).joints) > 0.1)
+        hand(pool).periods = Periods(0)
+        await anyio.sleep(0.15)
+        assert any(joint.torque for joint in hand(pool).joints)
+        await made.stop()
+        await until(lambda: not any(joint.torque for joint in hand(pool).joints))
+
+
+@pytest.mark.anyio
+async def test_a_side_that_is_given_but_not_reported_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    keep_the_serial_number(monkeypatch)
+    spec = device(side="left", emulator={"version": 5})
+    async with BusPool() as pool:
+        with pytest.raises(HandshakeError, match="a left hand, found one that does not report"):
+            async with connected(pool, spec):
+                pass
 
 
 @pytest.mark.anyio
