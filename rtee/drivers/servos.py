@@ -202,6 +202,7 @@ class ServoDriver(Driver, Generic[L]):
         MOST_GAIN: Largest gain [counts].
         STORED: Number of bytes at the beginning of the table that hold a servo's set-up.
         NEAR: Tolerance for the goal read back from a servo without torque [counts].
+        FOLLOWS: The operating modes in which a servo stops at a goal.
         HINT: What `recover` does about the errors that servos report.
         LOST: What to do about servos that have lost their torque.
         mode: Operating mode in which they follow goals.
@@ -217,6 +218,7 @@ class ServoDriver(Driver, Generic[L]):
     MOST_GAIN: ClassVar[int]
     STORED: ClassVar[int]
     NEAR: ClassVar[int] = 0
+    FOLLOWS: ClassVar[Collection[int]] = (0,)
     HINT: ClassVar[str]
     LOST: ClassVar[str] = "`rtee recover` powers it again"
     options: LineOptions
@@ -467,23 +469,26 @@ class ServoDriver(Driver, Generic[L]):
         self.active = True
 
     def _misled(self, powered: Iterable[int]) -> list[int]:
-        """Return those of some powered servos that do not follow goals, by their mode."""
-        return [number for number in powered if self.found[number].mode != self.mode]
+        """Return those of some powered servos that would not stop at a goal, by their mode."""
+        return [number for number in powered if self.found[number].mode not in self.FOLLOWS]
 
     def _check_modes(self) -> None:
         """Raise `DeviceFault` if another program has powered servos in another operating mode.
 
-        A goal would be ignored, or its speed limit become a speed that never ends.
+        A goal or its limits would be ignored, or its speed limit become a speed that never ends.
         """
-        misled = self._misled(n for n, servo in self.found.items() if servo.powered)
-        if misled:
-            modes = ", ".join(str(mode) for mode in sorted({self.found[n].mode for n in misled}))
+        other = [n for n, found in self.found.items() if found.powered and found.mode != self.mode]
+        if other:
+            modes = ", ".join(str(mode) for mode in sorted({self.found[n].mode for n in other}))
             raise self._lost(
-                misled,
+                other,
                 f"powered in operating mode {modes}, not {self.mode:d}",
                 OTHER_MODE,
                 hint="another program has set it; end that program, then `rtee recover` switches "
-                "the torque off and sets the mode",
+                "the torque off and sets the mode"
+                if self._misled(other)
+                else "another program has set it, and they hold what they grip; let that program, "
+                "or a power cycle, switch their torque off, then `rtee recover` sets the mode",
             )
 
     async def _set(self, register: Any, values: Mapping[int, int]) -> None:
@@ -687,16 +692,19 @@ class ServoDriver(Driver, Generic[L]):
 
         Servos in another operating mode, which would not stop at a goal, lose their torque.
         """
-        powered = self.ids
-        if not self.active:
-            # Writing a goal enables the torque of some servos.
-            read = partial(self.link.values, self.TORQUE, self.ids)
-            powered = [n for n, value in (await patiently(read)).items() if value == POWERED]
-            if misled := self._misled(powered):
-                await patiently(partial(self._release, misled))
-                powered = [number for number in powered if number not in misled]
-        # Within the cycle's deadline: a lost answer must not use up the time of a stop.
-        await patiently(partial(self._hold, powered, self.standstill.instead))
+        # Read in every state, since writing a goal enables the torque of some servos: one that has
+        # restarted unnoticed would be powered in the mode that it stores.
+        torque = await patiently(partial(self.link.values, self.TORQUE, self.ids))
+        powered = [number for number, value in torque.items() if value]
+        loose = [] if self.active else self._misled(powered)
+        still = [number for number in powered if number not in loose]
+        try:
+            # Within the cycle's deadline: a lost answer must not use up the time of a stop.
+            await patiently(partial(self._hold, still, self.standstill.instead))
+        # Afterwards and in any case: neither may prevent the stop of the other servos.
+        finally:
+            if loose:
+                await patiently(partial(self._release, loose))
 
     async def disable(self) -> None:
         """Disable the torque; the fingers go limp."""

@@ -117,6 +117,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     # No source says whether the goal of a servo without torque follows the shaft. 16 pulses are
     # 1.4°, too little for a harmful jump.
     NEAR = 16
+    FOLLOWS = (table.Mode.POSITION, table.Mode.EXTENDED_POSITION, table.Mode.CURRENT_BASED_POSITION)
     HINT = "`rtee recover` reboots the servo"
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
@@ -176,8 +177,9 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         def get(register: table.Register) -> int:
             return register.unpack(stored[register.address :])
 
-        # Only in this mode does a servo refuse goals beyond its limits.
-        limited = self.mode is table.Mode.POSITION
+        # Only in this mode does a servo refuse goals beyond its limits; a stop may meet it in
+        # servos of another program.
+        limited = table.Mode.POSITION in (self.mode, get(table.OPERATING_MODE))
         return FoundServo(
             number,
             get(table.MODEL),
@@ -272,10 +274,11 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
             await self._set(table.RETURN_DELAY, slow)
         # Until it is cleared, a watchdog that has tripped refuses all of the following.
         await self._set(table.BUS_WATCHDOG, dict.fromkeys(off, 0))
-        # Another program may have left the motors weak, or slow.
-        await self._set(table.GOAL_PWM, await link.values(table.PWM_LIMIT, off))
+        # Another program may have left the motors weak, or slow. Not an error if a servo keeps
+        # other values, or does not return these: it can be driven.
+        await link.set_all(table.GOAL_PWM, await link.values(table.PWM_LIMIT, off))
         for register in (table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY):
-            await self._set(register, dict.fromkeys(off, 0))
+            await link.set_all(register, dict.fromkeys(off, 0))
         await self._set_gains(off)
         if self.mode is table.Mode.CURRENT_BASED_POSITION:
             most = {n: self._most(i) for i, n in enumerate(self.ids) if n in off}

@@ -224,8 +224,9 @@ class FeetechDriver(ServoDriver[FeetechLink]):
         first, size = table.PRESENT_POSITION.address, self.family.state
         try:
             answers = await self.link.read_all(first, size, self.ids)
-        except BusTimeout:
-            # Stored for the next cycle, which checks for a power cycle.
+        except (BusTimeout, FrameError):
+            # Stored for the next cycle, which checks for a power cycle. Noise on the line of servos
+            # without supply makes a silence a `FrameError`.
             self._silent = True
             raise
         measured = [self.family.measured(answers[n].params) for n in self.ids]

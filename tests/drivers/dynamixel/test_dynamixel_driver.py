@@ -312,6 +312,8 @@ async def test_servos_that_a_watchdog_has_stopped_are_powered_after_they_were_li
         await anyio.sleep(0.3)
         await made.disable()
         assert [each.get(table.BUS_WATCHDOG) for each in line(pool).servos.values()] == [-1] * 2
+        for each in line(pool).ordered:
+            each.axis.position += 200.0  # away from the goal, which a tripped watchdog locks
         await made.activate()
         assert await settle(made, [0.3, 0.3]) == pytest.approx([0.3, 0.3], abs=2e-3)
 
@@ -361,6 +363,57 @@ async def test_a_stop_ends_the_motion_of_a_servo_in_another_mode() -> None:
         assert [first.get(table.TORQUE), second.get(table.TORQUE)] == [1, 0]
 
 
+def gripping(servo: Any, mode: Mode) -> None:
+    """Leave a servo as another program may: on its slow way to a goal, in a position mode."""
+    servo.set(table.OPERATING_MODE, mode)
+    servo.set(table.TORQUE, 1)
+    servo.set(table.PROFILE_VELOCITY, 10)
+    servo.set(table.GOAL_POSITION, 3000)
+    servo._act()
+
+
+@pytest.mark.parametrize("mode", [Mode.POSITION, Mode.EXTENDED_POSITION])
+async def test_servos_in_another_position_mode_keep_their_torque(mode: Mode) -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        for each in line(pool).ordered:
+            gripping(each, mode)
+        await made.configure()
+        await made.stop()
+        for each in line(pool).ordered:
+            assert each.get(table.TORQUE) == 1
+            assert each.get(table.GOAL_POSITION) == pytest.approx(each.position, abs=20)
+        await made.recover()
+        assert [each.get(table.TORQUE) for each in line(pool).ordered] == [1, 1]
+        with pytest.raises(DeviceFault, match=f"operating mode {mode:d}, not 5.*hold what they"):
+            await made.activate()
+        for each in line(pool).ordered:
+            each.set(table.TORQUE, 0)
+        await made.activate()
+
+
+async def test_a_servo_beyond_its_limits_is_stopped_at_the_nearest_in_another_mode() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        for each in line(pool).ordered:
+            gripping(each, Mode.POSITION)
+            each.set(table.MAX_POSITION, each.position - 10)
+        await made.configure()
+        await made.stop()
+        for each in line(pool).ordered:
+            assert each.get(table.GOAL_POSITION) == each.get(table.MAX_POSITION)
+
+
+async def test_a_servo_that_keeps_its_torque_does_not_prevent_the_stop_of_the_others() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        first, second = line(pool).ordered
+        gripping(first, Mode.CURRENT_BASED_POSITION)
+        spinning(second)
+        await made.configure()
+        write = second.write
+        second.write = lambda at, data: 0 if at == table.TORQUE.address else write(at, data)
+        await made.stop()
+        assert first.get(table.GOAL_POSITION) == pytest.approx(first.position, abs=20)
+
+
 async def test_servos_that_answer_nothing_but_reads_are_set_up() -> None:
     """As the program of an ORCA hand leaves them: status return level 1."""
     async with BusPool() as pool, connected(pool, device()) as made:
@@ -389,11 +442,32 @@ async def test_what_another_program_left_does_not_slow_or_weaken_the_motors() ->
             each.set(table.GOAL_PWM, 20)
             each.set(table.PROFILE_ACCELERATION, 1)
             each.set(table.PROFILE_VELOCITY, 1)
+        lent = made._hold
+
+        async def hold(*args: Any, **kwargs: Any) -> None:
+            # Before the first goal, whose limits set the profile velocity, too.
+            assert [s.get(table.PROFILE_VELOCITY) for s in line(pool).ordered] == [0, 0]
+            await lent(*args, **kwargs)
+
+        made._hold = hold  # type: ignore[method-assign]
         await made.activate()
         for each in line(pool).ordered:
             assert each.get(table.GOAL_PWM) == 885
             assert each.get(table.PROFILE_ACCELERATION) == 0
         assert await settle(made, [0.5, 0.5]) == pytest.approx([0.5, 0.5], abs=2e-3)
+
+
+@pytest.mark.parametrize("register", [table.GOAL_PWM, table.PROFILE_VELOCITY])
+async def test_a_servo_that_keeps_another_power_or_profile_is_activated(
+    register: table.Register,
+) -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        first = line(pool).ordered[0]
+        first.set(register, 7)
+        write = first.write
+        first.write = lambda at, data: 0 if at == register.address else write(at, data)
+        await made.activate()
+        assert first.get(table.TORQUE) == 1
 
 
 @pytest.mark.parametrize("fast", ["auto", "never"])

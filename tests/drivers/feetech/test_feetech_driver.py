@@ -15,6 +15,7 @@ import anyio
 import numpy as np
 import pytest
 
+from rtee.buses.faults import Faults
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.codec import Frame, Instruction, RequestParser
 from rtee.errors import (
@@ -349,6 +350,39 @@ async def test_after_a_silence_every_servo_is_checked() -> None:
         await session.driver.move(Reference.at([0.5] * 3))
         with pytest.raises(DeviceFault, match="restarted: servo 1"):
             await session.sense()
+
+
+@pytest.mark.parametrize("disturbance", ["echo", "noise"])
+async def test_a_supply_cut_is_noticed_though_bytes_arrive_meanwhile(disturbance: str) -> None:
+    emulator = {"echo": disturbance == "echo", "servo": {"reboot_time": 0.0}}
+    async with Session(case(check_every=10_000, emulator=emulator)) as session:
+        await session.start()
+        await session.reach([0.5] * 3)
+        session.wire.power_cycle()
+        if disturbance == "echo":
+            session.emulator.inject("silent")
+        else:
+            session.wire.faults = Faults(corrupt=1.0, requests=False)
+        with pytest.raises(BusTimeout if disturbance == "echo" else FrameError):
+            await session.driver.sense()
+        session.emulator.clear("silent")
+        session.wire.faults = Faults()
+        with pytest.raises(DeviceFault, match=r"(restarted|torque lost): servo 1"):
+            await session.sense()
+
+
+async def test_a_stop_does_not_power_a_servo_that_has_restarted() -> None:
+    """Its goal would do that, in the mode that it stores, which may be that of a wheel."""
+    async with Session(case(check_every=10_000)) as session:
+        await session.start()
+        first, second, third = session.emulator.ordered
+        session.wire.call(lambda: second.reboot(0.0))
+        await asyncio.sleep(0.2)
+        session.wire.call(lambda: second.set(table.MODE, 1))
+        await session.driver.stop()
+        await session.sense()
+        assert [s.get(table.TORQUE) for s in (first, second, third)] == [1, 0, 1]
+        assert second.axis.velocity == 0.0
 
 
 async def test_a_servo_that_takes_no_mark_is_driven_all_the_same() -> None:
