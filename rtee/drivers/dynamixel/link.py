@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -27,6 +28,9 @@ _ID, _LENGTH, _ERROR, _DATA = 4, 5, 8, 9
 _AROUND = 4
 """Bytes that its length counts besides the data: instruction, error, checksum."""
 
+_AROUND_ALL = 11
+"""Bytes of a status packet besides its data."""
+
 _PING_DATA = 3
 """Data bytes of the answer to a ping: model and firmware."""
 
@@ -44,6 +48,10 @@ _PATIENT_LATENCY = 0.03
 """The same time during set-up [s]; the SDK allows 34 ms."""
 
 
+_NAMING = 0.5
+"""Shortest time between two plain reads that show which servo is silent [s]."""
+
+
 _UNHURRIED = 5.0
 """Longest time for an exchange outside the cycle, retries included [s]."""
 
@@ -55,6 +63,20 @@ def _heard(result: int, error: int) -> int:
     return int(result)
 
 
+def _receive(packets: Any, port: Any, number: int, size: int) -> tuple[Any, int]:
+    """Return a servo's answer with ``size`` bytes of data, or with an error, and the SDK's result.
+
+    Others answer earlier requests; the packet's timeout ends the wait.
+    """
+    while True:
+        packet, result = packets.rxPacket(port, False)
+        if result != sdk.COMM_SUCCESS:
+            return packet, int(result)
+        damaged = packet[_ERROR] & _ERROR_NUMBER == Error.CRC
+        if packet[_ID] == number and (damaged or _data_size(packet) == size):
+            return packet, _heard(result, packet[_ERROR])
+
+
 class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
     """A group read that also stores the error bytes of the answers, hardware alert included.
 
@@ -62,6 +84,8 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
         errors: Error byte of each servo's last answer, by id.
         stopped: The servo whose answer was missing or damaged in the last plain read, after others
             had answered; ``None``: no servo, or the first one.
+        failed: Whether the last read failed.
+        plain: When a plain read replaced a fast one last [s].
     """
 
     def __init__(
@@ -70,6 +94,8 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
         super().__init__(port, packets, address, size)
         self.errors: dict[int, int] = {}
         self.stopped: int | None = None
+        self.failed = False
+        self.plain = -math.inf
         for number in ids:
             self.addParam(number)
 
@@ -78,15 +104,10 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
         self.last_result = False
         self.stopped, first = None, next(iter(self.data_dict))
         for number in self.data_dict:
-            packet, result = self.ph.rxPacket(self.port, False)
-            while result == sdk.COMM_SUCCESS and packet[_ID] != number:
-                packet, result = self.ph.rxPacket(self.port, False)
+            packet, result = _receive(self.ph, self.port, number, self.data_length)
             if result != sdk.COMM_SUCCESS:
                 self.stopped = None if number == first else number
                 return int(result)
-            # One of another length answers an earlier request.
-            if _data_size(packet) != self.data_length:
-                return int(sdk.COMM_RX_CORRUPT)
             self.data_dict[number] = packet[_DATA : _DATA + self.data_length]
             self.errors[number] = packet[_ERROR]
         self.last_result = True
@@ -145,6 +166,8 @@ class DynamixelLink(ServoLink):
         self._retries = retries
         self._latency = max(_LATENCY, 2.0 * turnaround)
         self._groups: dict[tuple[int, int], GroupRead] = {}
+        self._end = math.inf
+        self._fast_works = False  # not with older firmware, which a plain read would hide
 
     @contextmanager
     def relaxed_deadline(self) -> Iterator[None]:
@@ -169,17 +192,22 @@ class DynamixelLink(ServoLink):
 
         Raises `NotConnected` if the servo answers nothing but pings, and `BusError`.
         """
+        read = partial(self.run, partial(self.read_group, address, size, [number]))
         try:
-            found, _ = await self.run(partial(self.read_group, address, size, [number]))
-        except BusTimeout as error:
+            found, _ = await read()
+        except BusTimeout:
             if await self.model(number) is None:
                 raise
-            raise NotConnected(
-                self.bus.name,
-                f"servo {number} answers pings, but no reads",
-                hint="its status return level (address 68) is 0; switch its supply off and on, "
-                "which sets it to 2",
-            ) from error
+            try:
+                # Again, since a disturbance may have ended before the ping.
+                found, _ = await read()
+            except BusTimeout as error:
+                raise NotConnected(
+                    self.bus.name,
+                    f"servo {number} answers pings, but no reads",
+                    hint="its status return level (address 68) is 0; switch its supply off and on, "
+                    "which sets it to 2",
+                ) from error
         return found[number]
 
     async def values(self, register: Register, numbers: Sequence[int]) -> dict[int, int]:
@@ -201,7 +229,7 @@ class DynamixelLink(ServoLink):
             BusBroken: if the request could not be sent.
         """
         latency = max(_PATIENT_LATENCY, self._latency) if self.patient else self._latency
-        end = monotonic.now() + self.delay + max(self._deadline, 5.0 * latency)
+        end = self._end = monotonic.now() + self.delay + max(self._deadline, 5.0 * latency)
         counters, result = self.bus.counters, int(sdk.COMM_SUCCESS)
         self.bus.port.latency = (latency + self.delay) * 1000.0
         for number in range(self._retries + 1):
@@ -235,13 +263,15 @@ class DynamixelLink(ServoLink):
 
         def attempt() -> int:
             # Not the SDK's own ping, which takes any answer of the servo for that to a ping.
-            request = [0, 0, 0, 0, number, 3, 0, sdk.INST_PING, 0, 0]
-            packet, result, error = self.bus.packets.txRxPacket(self.bus.port, request)
-            if result == sdk.COMM_SUCCESS and _data_size(packet) != _PING_DATA:
-                return int(sdk.COMM_RX_CORRUPT)
+            packets, port = self.bus.packets, self.bus.port
+            result = packets.txPacket(port, [0, 0, 0, 0, number, 3, 0, sdk.INST_PING, 0, 0])
+            if result != sdk.COMM_SUCCESS:
+                return int(result)
+            port.setPacketTimeout(_AROUND_ALL + _PING_DATA)
+            packet, result = _receive(packets, port, number, _PING_DATA)
             if result == sdk.COMM_SUCCESS:
                 found.append(packet[_DATA] | packet[_DATA + 1] << 8)
-            return _heard(result, error)
+            return result
 
         try:
             self.repeated(attempt)
@@ -263,22 +293,28 @@ class DynamixelLink(ServoLink):
         else:
             group = GroupRead(self.bus.port, self.bus.packets, address, size, ids)
         try:
-            self.repeated(group.fastSyncRead if self.fast else group.txRxPacket)
-        except (BusTimeout, FrameError) as error:
-            raise self._named(group) or error from error.__cause__
+            self.repeated(partial(self._read, group))
+        except (BusTimeout, FrameError):
+            if group.stopped is None:
+                raise
+            raise BusTimeout(self.bus.name, f"no answer from servo {group.stopped}") from None
         answers = {n: bytes(data) for n, data in group.data_dict.items()}
         return answers, group.errors
 
-    def _named(self, group: GroupRead) -> BusTimeout | None:
-        """Return the error that names the servo which does not answer; ``None``: not known."""
-        if self.fast:
-            # Its single answer breaks off at the missing servo, so only a plain read shows which.
-            self.bus.port.is_using = False
-            if group.txRxPacket() == sdk.COMM_SUCCESS:
-                return None
-        if group.stopped is None:
-            return None
-        return BusTimeout(self.bus.name, f"no answer from servo {group.stopped}")
+    def _read(self, group: GroupRead) -> int:
+        """Read a group once and return the SDK's result."""
+        now, plain = monotonic.now(), not self.fast
+        if self._fast_works and group.failed and now - group.plain >= _NAMING:
+            # The single answer to a fast read breaks off at a missing servo, so only a plain read
+            # shows which: in place of a retry, and only if it ends before the deadline.
+            port, count = self.bus.port, len(group.data_dict) * (_AROUND_ALL + group.data_length)
+            plain = now + (count * port.tx_time_per_byte + port.latency) / 1000.0 < self._end
+            group.plain = now if plain else group.plain
+        result = int(group.txRxPacket() if plain else group.fastSyncRead())
+        group.failed = result != sdk.COMM_SUCCESS
+        if not group.failed:
+            self._fast_works, group.stopped = not plain or self._fast_works, None
+        return result
 
     def write_group(self, register: Register, values: Mapping[int, int]) -> None:
         """Write a register of several servos at once; servos do not answer."""

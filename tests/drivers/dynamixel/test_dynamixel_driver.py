@@ -436,6 +436,23 @@ async def test_servos_that_answer_nothing_but_pings_are_named() -> None:
         await made.configure()
 
 
+async def test_a_read_lost_to_a_short_disturbance_does_not_blame_the_return_level() -> None:
+    async with BusPool() as pool, connected(pool, device(retries=0)) as made:
+        emulator, answers = line(pool), DynamixelEmulator.answers
+        lost: list[Any] = []
+
+        def lossy(frame: Any, now: float) -> list[bytes]:
+            came = answers(emulator, frame, now)
+            if frame.instruction == Instruction.FAST_SYNC_READ and not lost:
+                lost.append(frame)
+                return []
+            return came
+
+        emulator.answers = lossy  # type: ignore[method-assign]
+        assert await made.link.data(0, 0, 2) == (1200).to_bytes(2, "little")
+        assert lost
+
+
 async def test_what_another_program_left_does_not_slow_or_weaken_the_motors() -> None:
     async with BusPool() as pool, connected(pool, device()) as made:
         for each in line(pool).ordered:
@@ -471,15 +488,58 @@ async def test_a_servo_that_keeps_another_power_or_profile_is_activated(
 
 
 @pytest.mark.parametrize("fast", ["auto", "never"])
-async def test_the_one_servo_that_falls_silent_is_named(fast: str) -> None:
-    async with BusPool() as pool, connected(pool, device(3, fast=fast, retries=1)) as made:
+@pytest.mark.parametrize(
+    "timing",
+    [{"retries": 1}, {"retries": 2, "deadline": 0.03}],
+    ids=["patient", "default"],
+)
+async def test_the_one_servo_that_falls_silent_is_named(fast: str, timing: dict[str, Any]) -> None:
+    async with BusPool() as pool, connected(pool, device(3, fast=fast, **timing)) as made:
         await made.activate()
         line(pool).ordered[1].silent_until = math.inf
-        with pytest.raises(BusTimeout, match=r"no answer from servo 1$"):
-            await made.sense()
+        for _ in range(3):
+            with pytest.raises(BusTimeout, match=r"no answer from servo 1$"):
+                await made.sense()
         line(pool).ordered[0].silent_until = math.inf
+        await anyio.sleep(0.5)  # after which it is found out again
         with pytest.raises(BusTimeout, match=r"no answer$"):
             await made.sense()
+
+
+async def test_finding_out_who_is_silent_takes_the_place_of_a_retry_and_is_rare() -> None:
+    spec = device(3, retries=2, deadline=0.03, health_every=10_000)
+    async with BusPool() as pool, connected(pool, spec) as made:
+        await made.activate()
+        await made.sense()
+        before = dict(line(pool).counts)
+        line(pool).ordered[1].silent_until = math.inf
+        for _ in range(4):
+            with pytest.raises(BusTimeout):
+                await made.sense()
+        kinds = (Instruction.FAST_SYNC_READ, Instruction.SYNC_READ)
+        spent = [line(pool).counts[kind] - before.get(kind, 0) for kind in kinds]
+        assert spent == [4 * 3 - 1, 1]
+
+
+async def test_on_a_slow_line_one_lost_answer_fails_one_exchange() -> None:
+    spec = device(16, baudrate=57600, retries=2, deadline=0.03, health_every=10_000)
+    async with BusPool() as pool, connected(pool, spec) as made:
+        await made.activate()
+        await made.sense()
+        emulator, answers = line(pool), DynamixelEmulator.answers
+        lost: list[Any] = []
+
+        def lossy(frame: Any, now: float) -> list[bytes]:
+            came = answers(emulator, frame, now)
+            if not lost:
+                lost.append(frame)
+                return [came[0][: len(came[0]) // 2]]
+            return came
+
+        emulator.answers = lossy  # type: ignore[method-assign]
+        with pytest.raises(BusError):
+            await made.sense()
+        await made.sense()
 
 
 async def test_an_answer_to_an_earlier_request_is_not_taken_for_this_one() -> None:
@@ -495,11 +555,13 @@ async def test_an_answer_to_an_earlier_request_is_not_taken_for_this_one() -> No
             return [*before, *came]
 
         emulator.answers = behind  # type: ignore[method-assign]
+        retries = made.counters()["retries"]
         # The state of servo 0, ten bytes whose first one is not its torque.
         late.append(StatusPacket(0, 0, bytes(range(10))).to_bytes())
         assert await made.link.values(table.TORQUE, [0]) == {0: 1}
         late.append(StatusPacket(0, 0, bytes(range(10))).to_bytes())
         assert await made.link.model(0) == 1200
+        assert made.counters()["retries"] == retries, "the answer behind it was waited for"
 
 
 async def test_stop_holds_and_release_lets_go() -> None:
