@@ -114,7 +114,9 @@ class ModbusLink(_LinkerHand):
         if self._both:
             try:
                 registers = await self._read(self.model.tables[both[0]].register, 2 * count)
-            except ModbusRefusal:
+            except ModbusRefusal as refusal:
+                if refusal.passing:
+                    raise
                 self._both = False
             else:
                 return self._checked(registers[:count]), self._checked(registers[count:])

@@ -10,6 +10,7 @@ from typing import Any
 import anyio
 import pytest
 
+from rtee.buses.modbus import ModbusRefusal
 from rtee.drivers.linkerhand.codec import L10, Table
 from rtee.drivers.linkerhand.driver import LinkerHandOptions, motors_of
 from rtee.errors import (
@@ -216,6 +217,20 @@ async def test_a_motor_that_rests_short_of_its_set_point_holds_something() -> No
         await session.reach([0.0] * 6)
         await anyio.sleep(0.3)
         assert (await session.sense()).grasped == (False,) * 6
+
+
+async def test_a_hand_that_was_busy_is_still_read_with_one_request() -> None:
+    wire = Wire()
+    async with Session(case()) as session:
+        session.pool.trace = wire.trace
+        await session.start()
+        session.emulator.inject("failing")
+        with pytest.raises(ModbusRefusal):
+            await session.driver.link.health()
+        session.emulator.clear("failing")
+        wire.clear()
+        await session.driver.link.health()
+        assert len(wire.read()) == 1
 
 
 async def test_a_refused_write_is_a_rejected_command() -> None:
