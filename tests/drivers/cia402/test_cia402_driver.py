@@ -22,6 +22,7 @@ from rtee.buses.simulated_can import SimulatedCan
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.cia301 import Emergency, NmtState
 from rtee.drivers.cia402.codec import State
+from rtee.drivers.cia402.drive import DriveLink
 from rtee.drivers.cia402.driver import Cia402Driver
 from rtee.drivers.cia402.emulated_drive import DriveProperties
 from rtee.drivers.cia402.emulator import Cia402Emulator
@@ -93,6 +94,21 @@ async def test_a_drive_that_has_lost_the_hosts_heartbeat_says_so() -> None:
         await made.configure()
         await made.activate()
         assert await settle(made, [0.3]) == pytest.approx([0.3], abs=2e-3)
+
+
+@pytest.mark.anyio
+async def test_a_state_reported_during_set_up_does_not_explain_a_later_silence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    set_up = DriveLink.set_up
+
+    def reported(drive: DriveLink, *args: Any, **kwargs: Any) -> None:
+        set_up(drive, *args, **kwargs)
+        drive.nmt = NmtState.PRE_OPERATIONAL  # by a heartbeat
+
+    monkeypatch.setattr(DriveLink, "set_up", reported)
+    async with BusPool() as pool, connected(pool, device()) as made:
+        assert [drive.absence for drive in made.link.drives] == [""]
 
 
 @pytest.mark.anyio
