@@ -18,6 +18,11 @@ now_ns: Callable[[], int] = time.monotonic_ns
 
 _BOOT_TIME: int | None = getattr(time, "CLOCK_BOOTTIME", None)
 """The clock that also counts while the computer is suspended; only Linux has it."""
+if _BOOT_TIME is not None:
+    try:
+        time.clock_gettime(_BOOT_TIME)
+    except OSError:  # some sandboxes know it by name only
+        _BOOT_TIME = None
 
 
 def _suspended() -> float:

@@ -346,9 +346,15 @@ def handed_over(then: Sequence[float], now: Sequence[float]) -> bool:
     before, after = sum(then), sum(now)
     if len(then) != len(now) or not (before > 0.0 and after > 0.0):
         return False
-    shares = [(one / before, other / after) for one, other in zip(then, now, strict=True)]
-    gave = max(bore - bears for bore, bears in shares)
-    took = max((bears for bore, bears in shares if bore < FAINT), default=0.0)
+    if sum(bore >= FAINT * before for bore in then) < 2:
+        return False  # held elsewhere than at the tips, too: another tip may well join
+    gave = took = 0.0
+    for bore, bears in zip(then, now, strict=True):
+        share = bears / after
+        if bore < FAINT * before:
+            took = max(took, share)
+        # What presses as before gives nothing, though another finger presses, too.
+        gave = max(gave, min(bore / before - share, (bore - bears) / before))
     return min(gave, took) >= _HANDED
 
 

@@ -197,6 +197,7 @@ class ContactMonitor:
         self._usual = [math.nan] * len(actuators)
         # Kept across goals: an actuator that was pushed back stays there when it is to close again.
         self._farthest = [math.nan] * len(actuators)
+        self._with_effort: set[int] = set()
         # An actuator that moves less than this in the stall time [rad | m] "hardly moves".
         self._slow = [stall.speed * actuator.velocity * stall.time for actuator in actuators]
 
@@ -624,7 +625,9 @@ class ContactMonitor:
     def _looks_lost(
         self, i: int, watched: _WatchedActuator, measured: Measured, reference: float, limit: float
     ) -> bool:
-        if rules.handed_over(watched.hold_forces, self.forces(i, measured)):
+        # It takes two fingers that hold, and a third one.
+        forces = watched.hold_forces
+        if len(forces) > 2 and rules.handed_over(forces, self.forces(i, measured)):
             return True
         if watched.presses is not None:
             return not watched.presses
@@ -749,9 +752,11 @@ class ContactMonitor:
         return rules.any_touch(forces, least, every=every)
 
     def has_effort(self, i: int, measured: Measured) -> bool:
-        """Return whether an actuator's effort or current is measured."""
+        """Return whether an actuator's effort or current is measured, now or before."""
         effort, current = measured.effort[i], measured.current[i] if measured.current else math.nan
-        return effort == effort or current == current
+        if effort == effort or current == current:
+            self._with_effort.add(i)
+        return i in self._with_effort
 
     def unknown(self, i: int, measured: Measured) -> bool:
         """Return whether effort shows an actuator's contacts while its free motion is unknown."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final, TypedDict
 
+from rtee.actions.openings import MARGIN
 from rtee.drivers.plausibility import Plausibility
 from rtee.hand.config_schema import Following
 from rtee.hand.model import Hand
@@ -486,6 +487,8 @@ class Executor:
         felt, doubt = self._reflexes.felt
         # Fingers that touch elsewhere than the levers assume, or of an unknown posture.
         elsewhere = within is False or math.isnan(width)
+        # So does `_LegReactions.share`, which lowers the force there however wide it may be.
+        elsewhere = elsewhere or (isinstance(to, Around) and width > to.width + MARGIN)
         elsewhere = elsewhere and source not in (TIPS, DEVICE) and grasped
         if felt == felt:
             # More exact: measured per finger, without the effects of weight and friction.

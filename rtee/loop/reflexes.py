@@ -626,8 +626,10 @@ class Reflexes:
                 self._contact.behind(i)
                 and not moved * watched.ahead >= _LAGS * wanted * watched.ahead
             ):
-                # No faster by rare measurements: the next one shows whether it has set out.
-                share = _LOOKED_AT / time if time > 0.0 else 1.0
+                # Until it has set out, friction must be overcome before it counts as stalled. Then
+                # no faster by rare measurements: the next one shows whether it goes on.
+                passed = _LOOKED_AT if self._contact.moved(i, measured) else stamp - watched.looked
+                share = passed / time if time > 0.0 else 1.0
                 watched.limit = min(watched.limit + share * full, full)
             elif self._contact.bound(i):
                 watched.limit = min(watched.limit + _LIGHT * self._contact.threshold(i), full)

@@ -195,7 +195,8 @@ class DeviceConnection:
 
     async def _give(self, reference: Reference) -> None:
         """Send a reference, within reach of the last one that the device is known to have."""
-        if self.counters.in_row or self._behind:
+        # Before the first one has arrived, the loop's reference may have moved on, too.
+        if self.counters.in_row or self._behind or self._given_at == -math.inf:
             reference = self._within_reach(reference)
         position, given = reference.position, self._given
         try:
@@ -203,11 +204,14 @@ class DeviceConnection:
         except BaseException:
             # It may have arrived or not: only where none was known, the next ones start from it.
             self._behind = True
-            if given is not None:
-                position = readonly(np.where(np.isnan(given), position, given))
-            self._given = position
+            if self._given is given:  # else they were started anew meanwhile
+                if given is not None:
+                    position = readonly(np.where(np.isnan(given), position, given))
+                self._given = position
             raise
-        self._given, self._given_at = position, self.answered
+        self._given_at = self.answered
+        if self._given is given:
+            self._given = position
 
     def _within_reach(self, reference: Reference) -> Reference:
         """Return a reference that the device reaches without a jump after missed exchanges.
@@ -315,6 +319,8 @@ class DeviceConnection:
         # No timeout here: the runner watches over the whole attempt.
         await self._driver.activate()
         self.accept(await self._driver.sense())
+        self._done_at = self.answered
+        self.counters.in_row = 0
         # From here on, somebody may touch the hand while the link is lost.
         self._activate_on_connect = self._settings.reconnect_active
         self.fault = None
@@ -374,6 +380,7 @@ class DeviceConnection:
             # device is.
             case CommandRejected():
                 self.counters.errors += 1
+                self.counters.in_row, self._done_at = 0, self.answered  # it answered
                 self.message = self.rejected = _words(error)
             case _ if self.lifecycle is Lifecycle.UNCONFIGURED:
                 await self._not_connected(error)

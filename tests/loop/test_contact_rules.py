@@ -172,6 +172,8 @@ def test_what_a_finger_hands_over_to_another_one_has_turned() -> None:
     assert rules.handed_over([0.0, 39.8, 31.6], [27.3, 6.1, 28.2])  # likewise, by all three
     assert not rules.handed_over([36.0, 0.0, 35.9], [24.0, 25.0, 25.0])  # a third finger joins
     assert not rules.handed_over([24.0, 25.0, 25.0], [36.0, 0.0, 36.0])  # and leaves
+    assert not rules.handed_over([36.0, 0.0, 0.0], [36.0, 36.0, 36.0])  # fingers that come later
+    assert not rules.handed_over([20.0, 0.0, 20.0], [20.0, 60.0, 20.0])  # none gives up anything
     assert not rules.handed_over([10.0, 10.0], [0.0, 20.0])  # of two, one side holds nothing
     assert not rules.handed_over([35.9, 0.0, 36.2], [0.0, 0.0, 0.0])
     assert not rules.handed_over([35.9, 0.0, 36.2], [NAN, 36.0, 36.0])

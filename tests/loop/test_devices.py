@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from dataclasses import replace
 
 import anyio
 import numpy as np
@@ -45,6 +46,7 @@ class Trouble(KinematicDriver):
         errors: Raised by the next exchanges, one each.
         hang: How many event loop turns an exchange takes; infinite: it never comes back.
         deaf: Whether references get lost.
+        astray: The actuator whose position is measured far away.
         arrived: The references that it got.
         log: The calls it got.
     """
@@ -56,6 +58,7 @@ class Trouble(KinematicDriver):
         self.refuse_active: Exception | None = None
         self.hang: float = 0
         self.deaf = False
+        self.astray: int | None = None
         self.arrived: list[Reference] = []
         self.log: list[str] = []
 
@@ -78,7 +81,12 @@ class Trouble(KinematicDriver):
             await asyncio.sleep(0)
         if self.errors:
             raise self.errors.pop(0)
-        return await super().sense()
+        state = await super().sense()
+        if self.astray is None:
+            return state
+        position = np.array(state.position)
+        position[self.astray] = 1e6
+        return replace(state, position=position)
 
     async def move(self, reference: Reference) -> None:
         self.log.append("move")
@@ -176,6 +184,70 @@ async def test_the_first_reference_after_missed_exchanges_is_where_they_started(
         steps = np.abs(np.diff([each.position for each in driver.arrived], axis=0))
         top = np.array([actuator.velocity for actuator in hand.actuators])
         assert (steps <= 2.0 * top / rig.clock.rate * (1 + 1e-6)).all()
+
+
+async def test_the_first_reference_after_an_implausible_position_is_where_they_started(
+    hand: Hand,
+) -> None:
+    settings, driver = trouble(hand)
+    async with running(hand, None, [(settings, driver)]) as rig:
+        await rig.loop.devices["dummy"].disable(1.0)
+        driver.astray = 1
+        await rig.loop.recover()
+        driver.arrived.clear()
+        await rig.run(0.1)
+        rig.loop.submit(Goal(Named("Trig", ("thumb",))))
+        await rig.run(1.0)
+        assert not driver.arrived
+        led = rig.loop.controller.reference_position
+        driver.astray = None
+        await rig.run(2.0)
+        assert max(led) > 0.5
+        assert np.abs(driver.arrived[0].position).max() < 0.01
+        steps = np.abs(np.diff([each.position for each in driver.arrived], axis=0))
+        top = np.array([actuator.velocity for actuator in hand.actuators])
+        assert (steps <= 2.0 * top / rig.clock.rate * (1 + 1e-6)).all()
+
+
+async def test_references_that_are_started_while_one_is_sent_are_where_the_next_one_starts(
+    hand: Hand,
+) -> None:
+    settings, driver = trouble(hand)
+    link = Supervisor(settings, driver, (0, 1, 2, 3), lambda _: None).connection
+    await link.connect()
+    last = Reference.at([1.0] * 4, max_velocity=[1.0] * 4)
+    await link.exchange(last)
+    sending, sent = anyio.Event(), anyio.Event()
+
+    async def fail(reference: Reference) -> None:
+        sending.set()
+        await sent.wait()
+        raise BusTimeout("dummy", "noise")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(driver, "move", fail)
+        async with anyio.create_task_group() as group:
+            group.start_soon(link.exchange, last)
+            await sending.wait()
+            link.restart([0, 1, 2, 3], np.full(4, 0.2))
+            sent.set()
+    await link.exchange(Reference.at([0.2] * 4, max_velocity=[1.0] * 4))
+    assert driver.arrived[-1].position.tolist() == [0.2] * 4
+
+
+async def test_refused_references_are_answers(hand: Hand) -> None:
+    settings, driver = trouble(hand)
+
+    async def refuse(reference: Reference) -> None:
+        raise CommandRejected("dummy", "too far")
+
+    async with running(hand, None, [(settings, driver)]) as rig:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(driver, "move", refuse)
+            for _ in range(3):
+                driver.errors = [BusTimeout("wire", "lost")]
+                await rig.run(0.4)
+        assert status(rig).lifecycle is Lifecycle.ACTIVE
 
 
 @pytest.mark.parametrize("ends", ["goal", "stop", "run"])

@@ -258,6 +258,33 @@ def test_a_result_says_why_the_force_is_less_than_the_requested_one() -> None:
     soft.stiffness = 2.0
     early = soft.do(replace(grasp(0.04, 40.0), timeout=2.0))
     assert (early.timed_out, early.grasped, early.shortfall) == (True, True, Shortfall.NONE)
+    # The force is lowered on what is much wider than expected, whatever the motor could exert.
+    lowered = Gripper(0.06).do(Goal(Named("Grasp"), Around(0.04, wider=0.05), effort=Force(40.0)))
+    assert lowered.grasped
+    assert lowered.force is not None
+    assert lowered.force < 30.0
+    assert lowered.shortfall is Shortfall.NONE
+
+
+@pytest.mark.parametrize(("every", "share"), [(25, 0.3), (50, 0.1), (50, 0.3)])
+def test_friction_is_no_contact_however_rarely_positions_come(every: int, share: float) -> None:
+    gripper = Gripper()
+    friction = share * gripper.hand.actuators[0].effort
+    gripper.accept(Goal(Named("Grasp"), FirstContact()))
+    position = shown = 0.0
+    for tick in range(20_000):
+        if gripper.results:
+            break
+        gripper.time += gripper.settings.period
+        if gripper.limit >= friction:
+            position = gripper.reference
+        fresh = tick % every == 0
+        if fresh:
+            shown = position
+        gripper.take(Measured([shown], [NAN], [NAN], [fresh], [-1], touch=[]))
+    (result,) = gripper.results
+    assert not result.touched
+    assert position > 0.5
 
 
 def test_fingers_from_all_around_may_press_four_times_as_hard_as_their_tips() -> None:

@@ -330,3 +330,20 @@ async def test_an_answer_after_its_deadline_but_before_the_next_tick_counts(hand
         rig.driver.sense_time = 0.005
         assert await rig.fist()
         assert rig.loop.devices["dummy"].status().errors == 0
+
+
+async def test_the_time_of_an_activation_is_no_silence(hand: Hand) -> None:
+    async with pausing(hand, rate=1000.0) as rig:
+        await rig.loop.devices["dummy"].disable(1.0)
+        activate = rig.driver.activate
+
+        async def home() -> None:
+            await anyio.sleep(2.0)
+            await activate()
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(rig.driver, "activate", home)
+            await rig.loop.recover()
+        rig.driver.errors = [BusTimeout("wire", "lost")] * 3
+        await anyio.sleep(0.1)
+        assert rig.lifecycle is Lifecycle.ACTIVE
