@@ -43,6 +43,7 @@ class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
         self._bus = bus
         self.latency = _LATENCY
         self.baudrate = bus.line.baudrate
+        self._sent_at = 0.0  # when the last byte written has left [ms]
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802 - the SDK's name
         """Open the port exclusively and with low latency."""
@@ -80,12 +81,17 @@ class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
 
     def writePort(self, packet: list[int]) -> int:  # noqa: N802 - the SDK's name
         """Write a packet."""
-        return int(self.ser.write(self._bus.note("tx", bytes(packet))))
+        written = int(self.ser.write(self._bus.note("tx", bytes(packet))))
+        now = self.getCurrentTime()
+        self._sent_at = max(self._sent_at, now) + written * self.tx_time_per_byte
+        return written
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802 - the SDK's name
         """Start the timeout for an answer of ``packet_length`` bytes."""
         self.packet_start_time = self.getCurrentTime()
-        self.packet_timeout = self.tx_time_per_byte * packet_length + self.latency
+        # Group writes are not answered: at a low baud rate, they are still on their way.
+        before = max(0.0, self._sent_at - self.packet_start_time)
+        self.packet_timeout = before + self.tx_time_per_byte * packet_length + self.latency
 
     def getCurrentTime(self) -> float:  # noqa: N802 - the SDK's name
         """Return CLOCK_MONOTONIC [ms]."""

@@ -203,6 +203,7 @@ class ServoDriver(Driver, Generic[L]):
         STORED: Number of bytes at the beginning of the table that hold a servo's set-up.
         NEAR: Tolerance for the goal read back from a servo without torque [counts].
         FOLLOWS: The operating modes in which a servo stops at a goal.
+        GOAL_POWERS: Whether writing a goal enables the torque.
         HINT: What `recover` does about the errors that servos report.
         LOST: What to do about servos that have lost their torque.
         mode: Operating mode in which they follow goals.
@@ -219,6 +220,7 @@ class ServoDriver(Driver, Generic[L]):
     STORED: ClassVar[int]
     NEAR: ClassVar[int] = 0
     FOLLOWS: ClassVar[Collection[int]] = (0,)
+    GOAL_POWERS: ClassVar[bool] = True
     HINT: ClassVar[str]
     LOST: ClassVar[str] = "`rtee recover` powers it again"
     options: LineOptions
@@ -692,7 +694,12 @@ class ServoDriver(Driver, Generic[L]):
 
         Servos in another operating mode, which would not stop at a goal, lose their torque.
         """
-        # Read in every state, since writing a goal enables the torque of some servos: one that has
+        if self.active and not self.GOAL_POWERS:
+            # At a low baud rate, another read would take too much of the time of a stop. One that
+            # has restarted unnoticed stays without torque, and need not keep its goal exactly.
+            await patiently(partial(self._hold, self.ids, self.standstill.instead, self.NEAR))
+            return
+        # Read even if active, since writing a goal enables the torque of some servos: one that has
         # restarted unnoticed would be powered in the mode that it stores.
         torque = await patiently(partial(self.link.values, self.TORQUE, self.ids))
         powered = [number for number, value in torque.items() if value]

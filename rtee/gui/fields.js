@@ -92,6 +92,8 @@
   addEventListener("pointerdown", (event) => {
     refused = null;
     pressed = true;
+    // A jogged hand would set out for it, and stop only when the button is released.
+    if (typed && event.target.closest?.("#rtee-stop")) end();
     // A slider, or an arrow, of the same value.
     if (typed && event.target !== typed && rowOf(typed).contains(event.target)) enter();
   }, true);

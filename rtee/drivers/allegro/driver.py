@@ -289,6 +289,7 @@ class AllegroDriver(Driver):
 
     async def activate(self) -> None:
         """Switch the motors on and hold the measured posture."""
+        await self._new_set()
         self._hold()
         self.control.let_go = None
         try:
@@ -304,6 +305,17 @@ class AllegroDriver(Driver):
             raise
         # Again, since a limp hand may have sunk while its motors were switched on.
         self._hold()
+
+    async def _new_set(self) -> None:
+        """Wait for positions if the newest are old: after a power cycle, the hand has sent none."""
+        end = monotonic.now() + self.options.deadline
+        while True:
+            try:
+                return self._check_age()
+            except BusTimeout:
+                if monotonic.now() > end:
+                    raise
+            await asyncio.sleep(0.002)
 
     async def examine(self) -> str:
         """Raise `DeviceFault` if the hand reports a fault."""
@@ -445,7 +457,10 @@ class AllegroDriver(Driver):
         self.control.kd = max(0.0, gains.get("kd", self.control.kd))
 
     async def hold(self) -> None:
-        """Command the measured posture."""
+        """Command the measured posture; a limp hand stays limp."""
+        if self.control.let_go is not None:
+            self._end_control()
+            return
         self._hold()
         here = [self.control.position[joint] for joint in self._joints]
         for i, position in self.standstill.instead(here).items():

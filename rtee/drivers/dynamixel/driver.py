@@ -118,6 +118,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     # 1.4°, too little for a harmful jump.
     NEAR = 16
     FOLLOWS = (table.Mode.POSITION, table.Mode.EXTENDED_POSITION, table.Mode.CURRENT_BASED_POSITION)
+    GOAL_POWERS = False
     HINT = "`rtee recover` reboots the servo"
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
@@ -177,9 +178,10 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
         def get(register: table.Register) -> int:
             return register.unpack(stored[register.address :])
 
-        # Only in this mode does a servo refuse goals beyond its limits; a stop may meet it in
-        # servos of another program.
-        limited = table.Mode.POSITION in (self.mode, get(table.OPERATING_MODE))
+        # Only in this mode does a servo refuse goals beyond its limits. A stop may meet servos that
+        # another program has powered in another one, where a goal at the limits would move them.
+        has = get(table.OPERATING_MODE)
+        limited = table.Mode.POSITION in ((has,) if powered else (self.mode, has))
         return FoundServo(
             number,
             get(table.MODEL),

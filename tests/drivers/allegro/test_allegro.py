@@ -446,6 +446,35 @@ async def test_a_hand_that_went_limp_stays_so_until_it_is_recovered_where_it_is(
 
 
 @pytest.mark.anyio
+async def test_a_stop_leaves_a_limp_hand_limp_though_its_finger_is_back() -> None:
+    async with BusPool() as pool, connected(pool, device(info_every=10_000)) as made:
+        await made.activate()
+        await made.move(Reference.at(np.full(16, 1.0)))
+        hand(pool).inject("silent_finger")
+        await anyio.sleep(0.15)
+        hand(pool).clear()
+        await anyio.sleep(0.05)
+        await made.stop()
+        for joint in hand(pool).joints:
+            joint.angle -= 0.2
+        await anyio.sleep(0.02)
+        assert not any(joint.torque for joint in hand(pool).joints)
+
+
+@pytest.mark.anyio
+async def test_one_recovery_is_enough_after_a_power_cycle() -> None:
+    async with BusPool() as pool, connected(pool, device(info_every=1)) as made:
+        await made.activate()
+        hand(pool).power_cycle(monotonic.now())
+        await anyio.sleep(0.3)
+        with pytest.raises(DeviceFault, match="motors off"):
+            await made.sense()
+        await made.recover()
+        await made.activate()
+        assert np.isfinite((await made.sense()).position).all()
+
+
+@pytest.mark.anyio
 async def test_zero_torques_that_get_lost_are_sent_again(monkeypatch: pytest.MonkeyPatch) -> None:
     async with BusPool() as pool, connected(pool, device(info_every=10_000)) as made:
         await made.activate()

@@ -402,6 +402,33 @@ async def test_a_servo_beyond_its_limits_is_stopped_at_the_nearest_in_another_mo
             assert each.get(table.GOAL_POSITION) == each.get(table.MAX_POSITION)
 
 
+@pytest.mark.parametrize("mode", [Mode.EXTENDED_POSITION, Mode.CURRENT_BASED_POSITION])
+async def test_a_stop_does_not_move_servos_beyond_limits_that_their_mode_ignores(
+    mode: Mode,
+) -> None:
+    async with BusPool() as pool, connected(pool, device(mode="position")) as made:
+        for each in line(pool).ordered:
+            gripping(each, mode)
+            each.set(table.MAX_POSITION, each.position - 300)
+        await made.configure()
+        await made.stop()
+        for each in line(pool).ordered:
+            assert each.get(table.GOAL_POSITION) == pytest.approx(each.position, abs=20)
+
+
+@pytest.mark.parametrize("fast", ["auto", "never"])
+@pytest.mark.parametrize("n", [4, 16])
+async def test_a_stop_at_a_low_baud_rate_needs_no_retries(n: int, fast: str) -> None:
+    spec = device(n, baudrate=57600, health_every=10_000, fast=fast)
+    async with BusPool() as pool, connected(pool, spec) as made:
+        await made.activate()
+        await made.stop()
+        retries, begun = made.counters()["retries"], monotonic.now()
+        await made.stop()
+        assert made.counters()["retries"] == retries
+        assert monotonic.now() - begun < 0.15
+
+
 async def test_a_servo_that_keeps_its_torque_does_not_prevent_the_stop_of_the_others() -> None:
     async with BusPool() as pool, connected(pool, device()) as made:
         first, second = line(pool).ordered

@@ -98,6 +98,26 @@ def test_a_jogged_hand_goes_only_to_what_was_entered(window: Window, other: Bloc
     window.status("control: free")
 
 
+def test_stop_sends_nothing_that_was_only_typed(window: Window, other: BlockingHand) -> None:
+    other.open()
+    window.tab("Teach")
+    hold = window.field("Jog (holds the hand)")
+    hold.click()
+    window.status("control: this window")
+    field = window.field("finger_joint [rad]")
+    enter(field, "0.2")
+    window.until(lambda: abs(other.state().position[0] - 0.2) <= 0.005)
+    before, stops = _sent(window), window.page.evaluate("window.stops")
+    field.select_text()
+    field.press_sequentially("0.7")
+    window.page.locator("#rtee-stop").click()
+    assert window.page.evaluate("window.stops") == stops + 1
+    assert _sent(window) == before
+    assert other.state().position[0] == pytest.approx(0.2, abs=0.01)
+    hold.click()
+    window.status("control: free")
+
+
 def test_a_hand_that_moves_meanwhile_does_not_change_what_is_typed(
     window: Window, other: BlockingHand
 ) -> None:
