@@ -94,7 +94,8 @@ class _WatchedActuator:
     since: float
     seen: float
     start: float = math.nan
-    led: int = 0
+    led: int = 0  # measurements in a row in which it lagged by more than it hung back at first
+    lags: int = 0  # the same by more than its tolerance alone
     blocked_at: float = math.nan
     grasping: bool = False
     own_report: bool = False
@@ -442,6 +443,7 @@ class ContactMonitor:
                 watched.hung = min(lag, tolerance)
             behind = lag > tolerance + watched.hung
             watched.led = watched.led + 1 if behind else 0
+            watched.lags = watched.lags + 1 if lag > tolerance else 0
             # Its device may not have the reference yet, however late measurements are.
             begun = (position - watched.start) * ahead > self._slow[i]
             waits = watched.led < _DELIVERED and not begun
@@ -532,7 +534,7 @@ class ContactMonitor:
     def behind(self, i: int) -> bool:
         """Return whether a watched actuator is behind a reference that its device has received."""
         watched = self._watched.get(i)
-        return watched is not None and watched.led >= _DELIVERED
+        return watched is not None and watched.lags >= _DELIVERED
 
     def moved(self, i: int, measured: Measured) -> bool:
         """Return whether a watched actuator has moved towards its target, not just its gears."""
