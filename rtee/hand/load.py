@@ -345,12 +345,12 @@ def _outside(
 
 def _distance(urdf: Urdf, moving: Iterable[str]) -> list[str]:
     """Return a note on the joint farthest from its parent link, if it is too far for a hand."""
-    apart = {name: math.hypot(*urdf.joints[name].xyz) for name in moving}
-    name = max(apart, key=apart.__getitem__)
-    if apart[name] <= LARGE:
+    far = {name: math.hypot(*urdf.joints[name].xyz) for name in moving}
+    name = max(far, key=far.__getitem__)
+    if far[name] <= LARGE:
         return []
     return [
-        f"joint '{name}' is {apart[name]:.3g} m from the frame of its parent link; are positions "
+        f"joint '{name}' is {far[name]:.3g} m from the frame of its parent link; are positions "
         "in millimetres? URDFs have metres"
     ]
 
