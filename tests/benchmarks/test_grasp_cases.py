@@ -216,6 +216,7 @@ def test_fingers_that_met_one_another_are_not_said_to_hold_when_one_pushes_the_o
     assert (truth.said, truth.unknown, truth.held) == (False, True, False)
 
 
+@pytest.mark.samples("too slippery-*")
 @pytest.mark.parametrize(
     ("thing", "width", "force", "seed"),
     [

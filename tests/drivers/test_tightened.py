@@ -27,6 +27,8 @@ from rtee.types import DeviceSpec, Reference
 pytestmark = pytest.mark.anyio
 CONFIG = Path(__file__).parents[2] / "config"
 HANDS = sorted(path.parent.name for path in CONFIG.glob("*/hand.yaml"))
+# One of each kind: jaws, their linkage, servos, torques, tendons, fingers with motors of their own.
+SAMPLES = ("schunk_egu", "robotiq_2f_85", "amazing_hand", "allegro", "heri_ii", "linkerhand_o6")
 
 
 def devices(folder: Path) -> list[DeviceSpec]:
@@ -71,6 +73,7 @@ async def measured(spec: DeviceSpec) -> ActuatorState:
         return await driver.sense()
 
 
+@pytest.mark.samples(*SAMPLES)
 @pytest.mark.parametrize("name", HANDS)
 async def test_a_device_measures_the_same_with_tighter_limits(name: str, tmp_path: Path) -> None:
     for before, after in zip(devices(CONFIG / name), tightened(name, tmp_path), strict=True):
@@ -113,6 +116,7 @@ async def stands(driver: Driver, reference: Sequence[float]) -> FloatArray:
     return (await driver.sense()).position
 
 
+@pytest.mark.samples(*SAMPLES)
 @pytest.mark.parametrize("name", HANDS)
 def test_what_stands_outside_the_limits_of_hand_yaml_stays_there(name: str, tmp_path: Path) -> None:
     async def stay(spec: DeviceSpec) -> None:

@@ -335,6 +335,7 @@ def _seen(path: Path) -> list[int]:
     return numbers
 
 
+@pytest.mark.samples("0")
 @pytest.mark.parametrize("seed", range(4))
 def test_damaged_files_of_cameras_are_one_sentence(filmed: Path, tmp_path: Path, seed: int) -> None:
     whole, path = filmed.read_bytes(), tmp_path / "damaged.mcap"

@@ -55,6 +55,7 @@ def test_what_stands_on_a_table_is_held_without_pressing_on_it(
     assert check.pressed < 1.0
 
 
+@pytest.mark.heavy
 def test_fingers_that_wait_for_one_another_hold_what_they_would_push(repository: Path) -> None:
     fingers = bench(str(repository / "config/inspire_rh56"))
     thing = read_object("box:0.04x0.04x0.06")

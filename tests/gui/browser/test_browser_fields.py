@@ -19,6 +19,7 @@ def _sent(window: Window) -> list[str]:
     return list(window.page.evaluate("window.sent"))
 
 
+@pytest.mark.samples("", "abc", "-5", "900")
 @pytest.mark.parametrize("text", ["", "abc", "-5", "900", "30,5", "1e1", "5-"])
 def test_a_width_that_is_none_grasps_nothing_and_says_so(
     window: Window, other: BlockingHand, text: str
