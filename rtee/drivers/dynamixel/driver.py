@@ -405,7 +405,7 @@ class DynamixelDriver(ServoDriver[DynamixelLink]):
     async def recover(self) -> None:
         """Reboot the servos with a hardware error; they are powered again by `activate`.
 
-        Servos that another program has powered in another mode lose their torque.
+        Powered servos in a mode that does not stop at a goal lose their torque.
         """
         link, self.active = self.link, False
         with link.relaxed_deadline():

@@ -333,9 +333,9 @@ class FeetechDriver(ServoDriver[FeetechLink]):
     async def recover(self) -> None:
         """Disable the torque of servos with a fault, which ends an overload.
 
-        Servos that have restarted, or that another program has powered in another mode, lose their
-        torque, too, since only servos without torque are set up. `activate` powers all of them
-        again.
+        Servos that have restarted, or are powered in a mode that does not stop at a goal, lose
+        their torque, too, since only servos without torque are set up. `activate` powers all of
+        them again.
         """
         # From here on, missing torque is not a fault.
         self.active = False

@@ -152,6 +152,7 @@ def test_stop_is_there_and_both_keys_work_in_every_state(
     page.evaluate(_FOLD, "minimize-all")
     page.locator(".tabler-icon-arrow-back").click()
     window.tab("Actions")
+    window.type("Intensity [%]", "100")  # which other tests run with
     for press in (window.button("STOP").click, lambda: page.keyboard.press("Escape")):
         other.start(lasting)
         window.status(f"running {lasting}")
