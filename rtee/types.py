@@ -123,7 +123,7 @@ class DeviceSpec:
         driver: Registry name, entry point or ``module:Class``.
         actuators: The actuators it drives, in the hand's order; a driver's arrays have this order.
             Their limits are those of hand.yaml, for the references.
-        options: The driver's own options from hand.yaml.
+        options: The driver's own options, from hand.yaml and the command line.
         rate: Rate of the loop [Hz].
         every: Ticks from one exchange to the next; ``None``: chosen for the driver's best rate.
         deadline: Longest time that an exchange may take [s]; ``None``: two of its periods, but at
@@ -134,6 +134,7 @@ class DeviceSpec:
         folder: The hand's folder, for drivers that need its model; empty: look it up by name.
         mechanisms: What the actuators could do without the limits of hand.yaml, by name, where that
             differs; see `mechanism`.
+        overridden: Names of the options that ``--option`` gives, for messages.
     """
 
     name: str
@@ -149,11 +150,19 @@ class DeviceSpec:
     source: str = ""
     folder: str = ""
     mechanisms: Mapping[str, Mechanism] = field(default_factory=_nothing)
+    overridden: tuple[str, ...] = ()
 
     @property
     def owner(self) -> str:
         """Name under which the device owns its bus, unique among all hands of a process."""
         return f"{self.hand}/{self.name}"
+
+    def origin(self, option: str = "") -> str:
+        """Return where an option was given, for messages; by default, where all of them were."""
+        if option:
+            return f"--option {option}" if option in self.overridden else self.source
+        given = (f"--option {name}" for name in self.overridden)
+        return " with ".join(filter(None, (self.source, *given)))
 
     def mechanism(self, actuator: ActuatorSpec) -> Mechanism:
         """Return the ends of an actuator's travel and its full effort, for scales of counts."""

@@ -387,10 +387,10 @@ def described(command: F) -> F:
         info.help, names = told, []
         for spec in specs.split("; ") if specs else ():
             low, dots, high = spec.partition("..")
-            if spec.startswith("-"):
-                names.append(spec)
-            elif dots and _is_number(low or high):
+            if dots and _is_number(low or high):  # first, since a bound may be negative
                 info.min, info.max = _bound(low), _bound(high)
+            elif spec.startswith("-"):
+                names.append(spec)
             else:
                 info.metavar = spec
         if optional:

@@ -88,7 +88,7 @@ def run(
         object_ (SHAPE): Object between the fingers. With --emulated: 50mm, or 0.4 of their closing
             travel. With --driver mujoco: box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill,
             or a mesh.
-        gravity (A): With --driver mujoco: along z [m/s²], -9.81 unless given.
+        gravity (-100.0..100.0; A): With --driver mujoco: along z [m/s²], -9.81 unless given.
         home: Home devices that need it, which moves them all the way.
         rate: Ticks per second, 1 to 2000.
         realtime: Ask for real-time scheduling.

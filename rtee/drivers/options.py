@@ -63,13 +63,14 @@ def read_options(kind: type[S], spec: DeviceSpec) -> S:
     """Return the options of a device, checked.
 
     Raises:
-        ConfigError: if a name is unknown or a value invalid; it names the option and the file.
+        ConfigError: if a name is unknown or a value invalid; it names the option and its origin.
     """
     try:
         return validated(kind, dict(spec.options))
     except Invalid as error:
         place, words = _told(error, "option", "options", "")
-        where = f"{spec.source}: " if spec.source else ""
+        origin = spec.origin(str(error.first.at[0]) if error.first.at else "")
+        where = f"{origin}: " if origin else ""
         raise ConfigError(
             f"{where}device '{spec.name}': {words}", key=f"devices.{spec.name}.options.{place}"
         ) from None

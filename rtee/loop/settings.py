@@ -242,5 +242,6 @@ def _settings_of(
         source=f"{choice.source}:{choice.lines[name]}" if name in choice.lines else choice.source,
         folder=choice.folder,
         mechanisms={actuator.name: mechanism(actuator, hand.urdf) for actuator in ordered},
+        overridden=tuple(option for option, _ in choice.options),
     )
     return DeviceSettings(spec, reconnect_active=device.reconnect == "active")

@@ -250,6 +250,7 @@ def test_a_command_that_is_misspelt(command: str, message: str, refused: Run) ->
     [
         ("run gripper --duration nan", "'--duration': should be a finite number"),
         ("run gripper --duration inf", "'--duration': should be a finite number"),
+        ("run gripper --driver mujoco --gravity -101", "'--gravity': -101.0 is not in the range"),
         ("run gripper --rate nan", "'--rate': should be a finite number"),
         ("try gripper Trig --object sphere:0.03 --mass nan", "'--mass': should be a finite"),
         ("log replay none --speed nan", "'--speed': should be a finite number"),
@@ -271,6 +272,25 @@ def test_a_command_that_is_misspelt(command: str, message: str, refused: Run) ->
 def test_options_that_cannot_be(command: str, message: str, home: Path, refused: Run) -> None:
     words = command.format(urdf=home / "gripper.urdf").split()
     assert message in refused(*words)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("typo=1",), "--option typo: device 'gripper': unknown option 'typo'; valid: "),
+        (
+            ("baudrate=x",),
+            "--option baudrate: device 'gripper': option 'baudrate': input should be",
+        ),
+        (("open_count=50", "closed_count=50"), "--option closed_count: device 'gripper': "),
+    ],
+)
+def test_an_option_of_the_command_line_is_not_looked_for_in_the_file(
+    words: tuple[str, ...], told: str, repository: Path, refused: Run
+) -> None:
+    hand = str(repository / "config" / "robotiq_2f_85")
+    given = [word for each in words for word in ("--option", each)]
+    assert refused("run", hand, "--driver", "devices", *given).startswith(f"rtee: {told}")
 
 
 def test_a_line_that_is_no_line(home: Path, repository: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -53,6 +54,28 @@ def test_it_is_refused(driver: str, options: dict[str, Any], told: str) -> None:
     with pytest.raises(ConfigError, match=r"hand\.yaml:3: device 'd': option") as caught:
         read_options(kind, spec(driver, options))
     assert told in str(caught.value)
+
+
+def test_a_condition_on_options_from_two_places_names_both() -> None:
+    given = replace(spec("ability_hand", {"mode": "current", "reply": 1}), overridden=("reply",))
+    kind = find_driver("ability_hand").Options
+    assert kind is not None
+    with pytest.raises(ConfigError, match=r"^hand\.yaml:3 with --option reply: device 'd': opt"):
+        read_options(kind, given)
+
+
+def test_an_unknown_name_in_an_option_of_the_command_line() -> None:
+    for option, overridden, place in (
+        ("start", ("start",), "--option start"),
+        ("objects", (), "hand.yaml:3"),
+    ):
+        given = replace(spec("kinematic", {option: {"jav": 0.5}}), overridden=overridden)
+        told = (
+            f"{place}: device 'd': unknown name 'jav' in its option '{option}'; did you mean 'jaw'?"
+        )
+        with pytest.raises(ConfigError) as caught:
+            find_driver("kinematic")(given, BusPool())
+        assert str(caught.value) == told
 
 
 @pytest.mark.parametrize("position", [45.0, 0.0, -0.8])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -155,7 +155,7 @@ class KinematicDriver(Driver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.now: Callable[[], float] = monotonic.asked
-        self._check_names(self.options.start, fingers=False)
+        self._check_names("start", self.options.start)
         self.plants = [
             KinematicActuator(
                 actuator,
@@ -180,16 +180,17 @@ class KinematicDriver(Driver):
             identity={"model": "kinematic"},
         )
 
-    def _check_names(self, names: Mapping[str, float], *, fingers: bool) -> None:
+    def _check_names(self, option: str, names: Iterable[str]) -> None:
         known = {a.name for a in self.spec.actuators}
-        if fingers:
+        if option == "objects":
             known.update(finger for a in self.spec.actuators for finger in a.fingers)
         for name in names:
             if name not in known:
-                where = f"{self.spec.source}: " if self.spec.source else ""
+                origin = self.spec.origin(option)
+                where = f"{origin}: " if origin else ""
                 raise ConfigError(
-                    f"{where}device '{self.spec.name}': unknown name '{name}' in its options;"
-                    f" {suggestion(name, known)}"
+                    f"{where}device '{self.spec.name}': unknown name '{name}' in its option"
+                    f" '{option}'; {suggestion(name, known)}"
                 )
 
     # --- what happens to the simulated device ------------------------------------------------
@@ -207,7 +208,7 @@ class KinematicDriver(Driver):
             ConfigError: if there is no such finger or actuator, the actuator is continuous, or the
                 fraction is out of range.
         """
-        self._check_names({name: fraction}, fingers=True)
+        self._check_names("objects", (name,))
         if not 0.0 <= fraction <= 1.0:
             raise ConfigError(f"an object must be at 0 to 1 of the travel, not {fraction:g}")
         for plant in self.plants:
