@@ -69,7 +69,7 @@ def do(
         intensity (SHARE): 0 (rest posture) to 1 (the action's posture), or 0% to 100%.
         speed (SHARE): Scale of the velocity limits, up to 1 or 100%.
         tolerance: Error norm that counts as reached.
-        stage: How far a pinch goes.
+        stage: How far a pinch goes; other actions have no stages.
         kind: Kind of the action, where its name is ambiguous.
         opening (LENGTH): Opening of the fingertips instead of an intensity, such as 30mm.
         force (FORCE): Force between the fingertips, such as 10N.

@@ -379,13 +379,16 @@ def _share(to: Intensity, action: Action) -> float:
         raise GoalRejected(
             f"'{action.name}' is a timed action, which always runs at intensity 1, not {to.share:g}"
         )
-    if to.stage is not Stage.PRE_GRASP:
+    if to.stage is Stage.BOTH:
         return to.share
     contact = action.evidence[0].contact_at if action.evidence else None
     if contact is None:
         raise GoalRejected(
-            f"'{action.name}' has no pre-grasp: only pinches whose first contact is known have one"
+            f"'{action.name}' has no stages: only pinches whose first contact is known have them;"
+            f" leave '{to.stage}' out"
         )
+    if to.stage is Stage.GRASP:
+        return to.share
     return min(to.share, max(0.0, contact - _PRE_GRASP_GAP))
 
 
