@@ -232,7 +232,8 @@ class _Command(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments; raise `typer.BadParameter` for those that are refused."""
         empty = any(word == "" or re.fullmatch("--[a-z-]+=", word) for word in args)
-        rest = super().parse_args(ctx, self._with_hand(self._with_wait(args)))
+        words = self._with_hand(self._with_wait(args), finished=not ctx.resilient_parsing)
+        rest = super().parse_args(ctx, words)
         # A line that a shell completes is not finished.
         if ctx.resilient_parsing:
             return rest
@@ -263,11 +264,12 @@ class _Command(TyperCommand):
     def _takes_running(self) -> bool:
         return any(getattr(option, "help", None) == RUNNING_HELP for option in self.params)
 
-    def _with_hand(self, args: list[str]) -> list[str]:
+    def _with_hand(self, args: list[str], *, finished: bool) -> list[str]:
         """Return the arguments; if the first word is a hand, it becomes the option ``--hand``.
 
         Where the word may mean something else, it counts as a hand if a hand of this name runs or
-        starts here, or if there is one and the command waits for it or looks elsewhere.
+        starts where the command looks for it, or if one is configured here and the command waits
+        for it or looks elsewhere. An endpoint is asked only for a ``finished`` line.
         """
         given = any(word == "--hand" or word.startswith("--hand=") for word in args)
         place = None if given or not self._takes_running() else self._first_word(args)
@@ -276,8 +278,9 @@ class _Command(TyperCommand):
         word = args[place]
         if any(option.param_type_name == "argument" for option in self.params):
             words = {each.partition("=")[0] for each in args}
-            far = not words.isdisjoint(("--wait", "--connect")) or bool(os.environ.get(_CONNECT))
-            if word not in complete_running(word) and not (far and word in complete_hand(word)):
+            endpoint = _value(args, "--connect") or os.environ.get(_CONNECT)
+            configured = bool(endpoint or "--wait" in words) and word in complete_hand(word)
+            if not configured and word not in _hands_there(endpoint if finished else None, word):
                 return args
         # As one word, since a hand's name may begin with a dash like an option.
         return [f"--hand={word}", *args[:place], *args[place + 1 :]]
@@ -308,6 +311,31 @@ class _Command(TyperCommand):
             if index + 1 >= end or not _is_number(args[index + 1]):
                 args = [*args[: index + 1], f"{READY_WITHIN:g}", *args[index + 1 :]]
         return args
+
+
+def _value(args: Sequence[str], option: str) -> str:
+    """Return the value that the words of a command line give to an option, or an empty one."""
+    found = ""
+    for word, following in zip(args, (*args[1:], ""), strict=True):
+        name, equals, value = word.partition("=")
+        if word == "--":
+            break
+        if name == option:
+            found = value if equals else following
+    return found
+
+
+def _hands_there(endpoint: str | None, word: str) -> Sequence[str]:
+    """Return the hands at an endpoint, or of this computer those whose names begin with a word."""
+    if not endpoint:
+        return complete_running(word)
+    from rtee.remote.find import hands_at
+
+    try:
+        return hands_at(endpoint, _SILENCE)
+    # The command, which looks there itself, says what is wrong.
+    except (RteeError, OSError):
+        return ()
 
 
 def _is_given(ctx: Any, option: Any) -> bool:

@@ -68,19 +68,10 @@ def gui(
 def _names(endpoint: str | None) -> Collection[str]:
     """Return the hands that run here, or at an endpoint."""
     from rtee.remote.directory import hands_running
-    from rtee.remote.find import alive
-    from rtee.remote.session import close_session, open_client
+    from rtee.remote.find import hands_at
 
-    if endpoint is None:
-        return hands_running()
-    try:
-        session = open_client([endpoint])
-    except NoHand:
-        return ()  # reported afterwards, with the command to type
-    try:
-        return alive(session)
-    finally:
-        close_session(session)
+    # Of an endpoint where nothing answers, the user learns afterwards, with the command to type.
+    return hands_running() if endpoint is None else hands_at(endpoint)
 
 
 async def _check_running(hand: str | None, endpoint: str | None) -> None:

@@ -127,6 +127,21 @@ async def _elsewhere(hand: str | None, endpoint: str, within: float | None) -> F
         raise
 
 
+def hands_at(endpoint: str, within: float | None = None) -> list[str]:
+    """Return the names of the hands at an endpoint; none if nothing answers.
+
+    Blocks for milliseconds, at most the time for opening a session [s], by default 10 s.
+    """
+    try:
+        session = open_client([endpoint], within)
+    except NoHand:
+        return []
+    try:
+        return alive(session)
+    finally:
+        close_session(session)
+
+
 def alive(session: zenoh.Session) -> list[str]:
     """Return the names of the hands that a session reaches; blocks until all have answered."""
     tokens = session.liveliness().get(network_key("*", ALIVE), timeout=_ANSWER_WITHIN)

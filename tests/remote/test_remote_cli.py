@@ -29,7 +29,17 @@ from rtee.errors import ConfigError, GoalRejected, NoHand, RequestRejected
 from rtee.hand.model import Hand
 from rtee.types import Fingers, FirstContact, Intensity, Lifecycle, Named
 
-from .serving import Served, Told, announced, make_hand, make_library, serving
+from .serving import (
+    Config,
+    Remote,
+    Served,
+    Told,
+    announced,
+    free_endpoint,
+    make_hand,
+    make_library,
+    serving,
+)
 
 
 @pytest.fixture
@@ -281,6 +291,40 @@ def test_a_hand_is_an_argument_or_an_option(
         run(command, *words)
         assert not second.watcher.events
         assert not second.watcher.goals
+
+
+@pytest.mark.parametrize("by_variable", [False, True])
+def test_the_first_word_is_a_hand_of_another_computer_that_is_not_configured_here(
+    hand: Hand,
+    library: ActionLibrary,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    by_variable: bool,
+) -> None:
+    endpoint = free_endpoint()
+    config = Config(Remote(listen=[endpoint]))
+    with (
+        anyio.from_thread.start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(serving(hand, library, config=config)) as served,
+    ):
+        monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path / "elsewhere"))
+        monkeypatch.chdir(tmp_path)  # no hand is configured here
+        where = () if by_variable else ("--connect", endpoint)
+        if by_variable:
+            monkeypatch.setenv("RTEE_CONNECT", endpoint)
+        assert "fist: reached" in run(do, "small", "fist", *where)
+        run(recover, *where, "small", "sim")
+        with pytest.raises(RequestRejected, match="unknown action 'smal'"):
+            run(do, "smal", "fist", *where)
+    assert [goal.what for goal in served.watcher.goals] == [Named("fist", ())]
+
+
+def test_a_hand_here_is_not_meant_by_the_first_word_of_a_command_for_another_computer(
+    served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(NoHand, match="nothing answers at"):
+        run(do, "small", "--connect", free_endpoint())
 
 
 def test_a_hand_that_does_not_run_is_named(served: Served) -> None:
