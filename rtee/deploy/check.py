@@ -44,6 +44,8 @@ def check_service(needs: Needs, root: Path = Path("/")) -> list[Check]:
 
 def _files(needs: Needs, installation: Installation, install: str) -> Check:
     states = {path: installation.written(path) for path in installation.manifest.of(needs.hand)}
+    if not installation.manifest.before.keys().isdisjoint(states):
+        return wrong("service", "its installation was interrupted", install)
     lost = [path for path, state in states.items() if state is FileState.NEW]
     if lost:
         return wrong("service", f"missing: {', '.join(lost)}", install)

@@ -42,12 +42,15 @@ class Manifest:
         hands: The hands that need each file, by path.
         folders: Folders that rtee created, parents first.
         user: Whether rtee created the user.
+        before: SHA-256 of the files that an installation is replacing, by path; empty once it is
+            complete.
     """
 
     files: dict[str, str] = field(default_factory=dict)
     hands: dict[str, list[str]] = field(default_factory=dict)
     folders: list[str] = field(default_factory=list)
     user: bool = False
+    before: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def read(cls, root: Path) -> Manifest:
@@ -56,12 +59,14 @@ class Manifest:
         try:
             with path.open("rb") as file:
                 document = json.load(file)
-            files = {str(k): str(v["sha256"]) for k, v in document["files"].items()}
-            hands = {
-                str(k): [str(hand) for hand in v["hands"]] for k, v in document["files"].items()
-            }
-            folders = [str(folder) for folder in document["folders"]]
-            return cls(files, hands, folders, bool(document["user"]))
+            listed = {str(k): v for k, v in document["files"].items()}
+            return cls(
+                files={k: str(v["sha256"]) for k, v in listed.items()},
+                hands={k: [str(hand) for hand in v["hands"]] for k, v in listed.items()},
+                folders=[str(folder) for folder in document["folders"]],
+                user=bool(document["user"]),
+                before={k: str(v["before"]) for k, v in listed.items() if "before" in v},
+            )
         except FileNotFoundError:
             return cls()
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -71,12 +76,18 @@ class Manifest:
         """Return the paths of the files that a hand needs."""
         return [path for path, hands in self.hands.items() if hand in hands]
 
+    def wrote(self, path: str, digest: str) -> bool:
+        """Return whether rtee wrote the content of a file, given by its SHA-256."""
+        return digest in (self.files[path], self.before.get(path))
+
     def document(self) -> str:
         """Return the manifest as JSON."""
-        files = {
+        files: dict[str, dict[str, object]] = {
             path: {"sha256": digest, "hands": self.hands[path]}
             for path, digest in self.files.items()
         }
+        for path, digest in self.before.items():
+            files[path]["before"] = digest
         whole = {"files": files, "folders": self.folders, "user": self.user}
         return json.dumps(whole, indent=2) + "\n"
 
@@ -128,7 +139,7 @@ class Installation:
         if path.startswith(f"{WANTS}/"):
             same = place.is_symlink() and os.readlink(place) == UNIT
         else:
-            same = _digest(place) == self.manifest.files[path]
+            same = self.manifest.wrote(path, _digest(place))
         return FileState.SAME if same else FileState.KEPT
 
     def content(self, path: str) -> bytes:
@@ -152,7 +163,8 @@ class Installation:
         """Write a hand's files, enable its service, and return the state of each file, by path.
 
         Raises `ConfigError` if a file cannot be written; then none is. If it is interrupted, or the
-        service cannot be enabled, `uninstall` finds all that was written.
+        service cannot be enabled, the next installation finishes it, and `uninstall` finds all that
+        was written.
         """
         states = self.compare(hand, files)
         # The hand may need fewer files than at its last installation.
@@ -165,6 +177,9 @@ class Installation:
             self._make_folders(wanted)
             # List files before writing them, so that an interrupted installation can be undone.
             for path, state in states.items():
+                if state is FileState.CHANGED:
+                    # If this ends before the file is replaced, the old one is no user's.
+                    manifest.before[path] = _digest(self._place(path))
                 if path in files and state is not FileState.KEPT:
                     manifest.files[path] = hashlib.sha256(files[path]).hexdigest()
                 hands = manifest.hands.setdefault(path, [])
@@ -186,6 +201,8 @@ class Installation:
             if not link.is_symlink():
                 with failing("cannot be made", link):
                     link.symlink_to(UNIT)
+        # From here on, an old content is there again only if somebody has put it back.
+        manifest.before.clear()
         # Remove old files last, so that a failed installation still has them.
         states |= self._drop(hand, stale)
         return states
@@ -278,7 +295,7 @@ class Installation:
         # Even with the same content, since uninstalling must not remove somebody else's file.
         if path not in self.manifest.files:
             return None
-        return FileState.CHANGED if digest == self.manifest.files[path] else FileState.KEPT
+        return FileState.CHANGED if self.manifest.wrote(path, digest) else FileState.KEPT
 
     def _make_folders(self, folders: Sequence[Path]) -> None:
         for folder in folders:
@@ -316,6 +333,7 @@ class Installation:
                 # A changed file also leaves the manifest: it now belongs to its author.
                 states[path] = state
             del manifest.hands[path], manifest.files[path]
+            manifest.before.pop(path, None)
         self._tidy()
         return states
 

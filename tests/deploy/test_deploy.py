@@ -156,6 +156,78 @@ def test_on_a_full_disk_nothing_is_installed_and_later_everything(
     assert install(root, hand)["/etc/rtee/hands/jaw/hand.yaml"] is FileState.CHANGED
 
 
+class Killed(BaseException):
+    """The end of the process: nothing that happens afterwards is part of the installation."""
+
+
+def killed_install(root: Path, hand: Path, renames: int, patch: pytest.MonkeyPatch) -> bool:
+    """Install a hand, but end after some renamed files; return whether it ended so."""
+    replace_, left = os.replace, renames
+
+    def counting(old: str, new: Path) -> None:
+        nonlocal left
+        if left == 0:
+            raise Killed
+        left -= 1
+        replace_(old, new)
+
+    with patch.context() as patched:
+        patched.setattr(os, "replace", counting)
+        try:
+            install(root, hand, realtime=True)
+        except Killed:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("then", ["the same", "another", "edited", "removed"])
+def test_a_killed_installation_is_finished_by_the_next(
+    root: Path, hand: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, then: str
+) -> None:
+    path = "/etc/rtee/hands/jaw/hand.yaml"
+    copy, settings, first = root / path[1:], hand / "hand.yaml", (hand / "hand.yaml").read_text()
+    before, renames, killed = tree(root), 0, True
+    while killed:
+        settings.write_text(first)
+        install(root, hand)
+        write_hand(tmp_path, options="{port: /dev/ttyUSB1}", more=f"title: Jaw {renames}\n")
+        killed = killed_install(root, hand, renames, monkeypatch)
+        assert copy.read_text() in (first, settings.read_text())
+        if then == "another":
+            settings.write_text(f"{first}title: Other\n")
+        if then == "edited":
+            copy.write_text("# mine\n")
+        if then != "removed":
+            states = install(root, hand, realtime=True)
+            kept = [each for each, state in states.items() if state is FileState.KEPT]
+            assert kept == ([path] if then == "edited" else [])
+            assert then == "edited" or copy.read_text() == settings.read_text()
+            assert set(install(root, hand, realtime=True).values()) <= {
+                FileState.SAME,
+                FileState.KEPT,
+            }
+        assert (FileState.KEPT in Installation(root).uninstall("jaw").values()) is (
+            then == "edited"
+        )
+        if then == "edited":
+            shutil.rmtree(root / "etc/rtee")
+        assert tree(root) == before
+        renames += 1
+    assert renames > 3, "the list, and files that changed"
+
+
+def test_what_was_installed_before_belongs_to_whoever_puts_it_back(root: Path, hand: Path) -> None:
+    copy = root / "etc/rtee/hands/jaw/hand.yaml"
+    for title in ("old", "new"):
+        write_hand(hand.parents[1], more=f"title: {title}\n")
+        install(root, hand)
+        if title == "old":
+            old = copy.read_text()
+    copy.write_text(old)
+    write_hand(hand.parents[1], more="title: newest\n")
+    assert install(root, hand)["/etc/rtee/hands/jaw/hand.yaml"] is FileState.KEPT
+
+
 def test_hands_share_files_until_the_last_one_goes(root: Path, tmp_path: Path) -> None:
     before = tree(root)
     for name in ("left", "right"):
@@ -438,6 +510,18 @@ def test_the_doctor_looks_at_every_part(root: Path, tmp_path: Path) -> None:
     assert verdicts(root, hand)["service"] == (Verdict.WRONG, again)
     (root / MANIFEST[1:]).write_text("{")
     assert verdicts(root, hand)["service"][0] is Verdict.WRONG
+
+
+def test_the_doctor_tells_of_a_killed_installation(
+    root: Path, hand: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install(root, hand)
+    write_hand(hand.parents[1], more="title: Jaw\n")
+    assert killed_install(root, hand, 1, monkeypatch)
+    (told,) = [c for c in check_service(needs_of(hand), root) if c.subject == "service"]
+    assert (told.verdict, told.text) == (Verdict.WRONG, "its installation was interrupted")
+    install(root, hand)
+    assert verdicts(root, hand)["service"] == (Verdict.OK, "")
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="files are given to others by root")
