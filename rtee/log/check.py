@@ -122,8 +122,8 @@ class ReplayCheck:
         return not self.different and self.results and not self.damage
 
 
-def recorded_hand(recording: Recording, actuators: Replayable) -> Hand:
-    """Return the hand of a recording with the actuators' limits used at the time.
+def recorded_hand(recording: Recording, used: Replayable) -> Hand:
+    """Return the hand of a recording with the actuators' limits and dynamics used at the time.
 
     Raises:
         LogError: if the recording lacks the hand's model.
@@ -140,10 +140,11 @@ def recorded_hand(recording: Recording, actuators: Replayable) -> Hand:
         if attached:
             srdf = folder / "hand.srdf"
             srdf.write_text(attached, "utf-8")
-        specs = actuators.actuators
+        specs = used.actuators
         names = [spec.name for spec in specs]
         hand = load_model(urdf, srdf, name=recording.hand, actuators=names)
-    return replace(hand, actuators=specs, rest=readonly([spec.rest for spec in specs]))
+    rest = readonly([spec.rest for spec in specs])
+    return replace(hand, actuators=specs, rest=rest, dynamics=used.dynamics)
 
 
 def _attached(recording: Recording, suffix: str) -> str:

@@ -10,6 +10,7 @@ from pathlib import PurePosixPath
 
 from mcap.records import Attachment, Channel, Schema
 
+from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.embedded_meshes import MEDIA_TYPES, EmbeddedMeshes, with_mesh_addresses
 from rtee.hand.frames import JointFrames
 from rtee.hand.model import Hand
@@ -61,11 +62,14 @@ class Replayable:
         actuators: The actuators with the limits and rest positions used at the time.
         rules: Version of the rules of contact (`rtee.loop.contact_rules`); 1 in recordings from
             before it was written.
+        dynamics: The dynamics of the actuators by name, from hand.yaml; empty in recordings from
+            before they were written.
     """
 
     settings: LoopSettings
     actuators: tuple[ActuatorSpec, ...]
     rules: int = 1
+    dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict)
 
 
 def library_name() -> str:

@@ -174,7 +174,7 @@ class Recorder(Observer):
         files = dict(attachments or {})
         if loop is not None:
             files[REPLAY] = to_json(
-                Replayable(loop, hand.actuators, contact_rules.VERSION)
+                Replayable(loop, hand.actuators, contact_rules.VERSION, hand.dynamics)
             ).encode()
         more = {
             "decimation": str(settings.decimation),

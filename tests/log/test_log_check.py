@@ -28,7 +28,7 @@ from rtee.commands import (
 )
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import LogError, UnknownActuator
-from rtee.hand.config_schema import GraspSettings, ProfileKind, ProfileSettings
+from rtee.hand.config_schema import ActuatorDynamics, GraspSettings, ProfileKind, ProfileSettings
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.log import Entry, JointSeries, Recorder, Recording, read, reader
@@ -294,6 +294,34 @@ async def test_reflexes_come_out_again(
     ]
     without = check(replace(found, goals=tuple(forgotten), plans=tuple(plans)))
     assert without.same is (word is OnContact.HOLD), "the word makes the difference"
+
+
+async def test_a_grip_whose_dynamics_hand_yaml_gives_comes_out_again(
+    small: Hand, tmp_path: Path
+) -> None:
+    """Their friction is part of the effort with which a finger waits for the others."""
+    dynamics = {name: ActuatorDynamics(dry_friction=0.3) for name in small.actuator_names}
+    hand = replace(small, dynamics=dynamics)
+    chosen = LoopSettings(rate=RATE, grasp=GraspSettings(on_contact=OnContact.SQUEEZE))
+    recorder = Recorder(hand, settings(tmp_path), rate=RATE, loop=chosen)
+    objects = {"index": 0.4, "thumb_base": 0.5}
+    async with recording(hand, tmp_path, chosen, recorder, objects=objects) as rig:
+        rig.loop.submit(Goal(Named("PinchTight", ("index", "thumb"))))
+        await rig.run(1.5)
+        # The second recording begins while the grip is held.
+        first = recorder.status().path
+        recorder.stop()
+        recorder.start()
+        while recorder.status().path in (None, first):  # noqa: ASYNC110 - its thread tells nobody
+            await anyio.sleep(0.001)
+        await rig.run(0.2)
+        rig.loop.submit(Goal(Named("open")))
+        await rig.run(0.5)
+        rig.loop.submit(Goal(Named("PinchTight", ("index", "thumb"))))
+        await rig.run(1.5)
+    for path in recorded(tmp_path):
+        again = check(read(path))
+        assert again.same, (path.name, again.first)
 
 
 @pytest.mark.heavy
