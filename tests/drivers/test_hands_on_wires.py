@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import replace
 from typing import Any
 
 import anyio
 import anyio.to_thread
+import numpy as np
 import pytest
 
 from rtee.buses.faults import Faults
@@ -18,7 +20,7 @@ from rtee.drivers.objects import ObjectInHand
 from rtee.drivers.qb_softhand.codec import Command as QbCommand
 from rtee.drivers.registry import find_driver
 from rtee.drivers.robotiq_2f.codec import Command
-from rtee.errors import GoalRejected
+from rtee.errors import BusTimeout, GoalRejected
 from rtee.hand.config_schema import Behaviour
 from rtee.loop import supervisor
 from rtee.loop.clock import Clock
@@ -28,7 +30,7 @@ from rtee.loop.supervisor import Supervisor
 from rtee.running.prepare import RunOptions, prepare
 from rtee.sample import TickRecord
 from rtee.testing.session import open_files
-from rtee.types import Event, Goal, Lifecycle, Named, Result
+from rtee.types import Event, Goal, Lifecycle, Named, Reference, Result
 
 pytestmark = pytest.mark.anyio
 RATE = 200.0
@@ -76,13 +78,21 @@ async def until(true: Callable[[], bool], within: float = 30.0) -> None:
 
 
 @asynccontextmanager
-async def on_wires(*names: str, **options: Any) -> AsyncIterator[list[Wired]]:
+async def on_wires(
+    *names: str, reconnect_active: bool = False, **options: Any
+) -> AsyncIterator[list[Wired]]:
     """Run hands on one clock, active; options are those of all of them."""
     async with BusPool() as pool, AsyncExitStack() as stack:
         found = []
         for name in names:
             ready = prepare(name, RunOptions(emulated=True, ideal=True, rate=RATE, **options))
-            devices = [(d, find_driver(d.spec.driver)(d.spec, pool)) for d in ready.devices]
+            devices = [
+                (
+                    replace(d, reconnect_active=reconnect_active),
+                    find_driver(d.spec.driver)(d.spec, pool),
+                )
+                for d in ready.devices
+            ]
             loop = HandLoop(ready.hand, ready.library, ready.settings, devices)
             await stack.enter_async_context(loop)
             await loop.ready()
@@ -217,6 +227,35 @@ async def test_a_hand_told_by_positions_alone_keeps_its_grip_too() -> None:
         assert axis.effort == effort
         hand.loop.submit(Goal(Named("open")))
         assert (await hand.result()).reached
+
+
+@pytest.mark.parametrize(("name", "kept"), [("wsg50", True), ("allegro", False)])
+async def test_a_grip_when_a_device_that_took_no_reference_comes_back_active(
+    name: str, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its reference starts where it is measured, which only an Allegro Hand follows at once."""
+    async with on_wires(name, object_in_hand="0.4", home=True, reconnect_active=True) as (hand,):
+        hand.loop.submit(Goal(Named("Grasp")))
+        assert (await hand.result()).stalled
+
+        def grip() -> float:
+            return float(np.nanmax(np.abs(hand.loop.snapshot().effort)))
+
+        before = grip()
+        assert before > 0.1
+
+        async def refused(_: Reference) -> None:
+            raise BusTimeout(name, "noise")
+
+        with monkeypatch.context() as deaf:
+            deaf.setattr(hand.device.connection._driver, "move", refused)
+            await until(lambda: not hand.device.active)
+        await until(lambda: hand.device.active)
+        exchanges = hand.loop.statuses()[0].exchanges
+        await until(lambda: hand.loop.statuses()[0].exchanges > exchanges + 50)
+        now = hand.loop.snapshot()
+        assert now.reference_position == pytest.approx(now.position, abs=1e-3)
+        assert grip() == (pytest.approx(before) if kept else pytest.approx(0.0, abs=0.05))
 
 
 async def test_an_object_taken_away_is_told() -> None:
