@@ -155,6 +155,12 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 @pytest.hookimpl(optionalhook=True)
+def pytest_xdist_setupnodes() -> None:
+    """Start the process that runs commands, before those that use it (``-n 2``): one for all."""
+    import rtee_process  # noqa: F401
+
+
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduling:
     """Share the tests out to processes (``-n 2``) by files, whose tests share fixtures.
 

@@ -8,7 +8,7 @@ import socket
 import struct
 import sys
 
-FORWARDED = ("SIGINT", "SIGTERM", "SIGQUIT", "SIGHUP", "SIGUSR1", "SIGUSR2")
+FORWARDED = ("SIGINT", "SIGTERM", "SIGQUIT", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGTSTP")
 HEAD = struct.Struct("!I")
 """Length of the request that follows [bytes]; the three streams come with it."""
 
@@ -30,7 +30,7 @@ def stand_for(place: str, words: list[str]) -> None:
         link.sendall(request)
         child = HEAD.unpack(exactly(link, HEAD.size))[0]
         for number in signals:
-            signal.signal(number, lambda received, _: os.kill(child, received))
+            signal.signal(number, lambda received, _: os.kill(child, sent(received)))
         signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
         status = os.waitstatus_to_exitcode(HEAD.unpack(exactly(link, HEAD.size))[0])
     if status < 0:
@@ -38,6 +38,11 @@ def stand_for(place: str, words: list[str]) -> None:
             signal.signal(-status, signal.SIG_DFL)
         os.kill(os.getpid(), -status)
     os._exit(status)
+
+
+def sent(received: int) -> int:
+    """Return the signal that the command gets for one that this process has got."""
+    return signal.SIGSTOP if received == signal.SIGTSTP else received
 
 
 def exactly(link: socket.socket, size: int) -> bytes:

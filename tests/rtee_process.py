@@ -1,11 +1,14 @@
-"""`rtee` in a process of its own that takes no time to start.
+"""`rtee`, and programs that import it, in a process of their own that takes no time to start.
 
-`RTEE` is used as ``(sys.executable, "-m", "rtee")`` is. Its first command starts a process that
-imports what commands need; each command then runs in a fork of that, with the folder, environment,
-streams, signals and exit status of the process that stands for it. So a command takes 0.05 s of
-processor time less its own work, instead of half a second and more.
+`RTEE` is used as ``(sys.executable, "-m", "rtee")`` is, and `PYTHON` as ``(sys.executable,)`` is,
+before ``-c CODE`` or ``-m MODULE``. The first command starts a process that imports what commands
+need; each command then runs in a fork of that, with the folder, environment, streams, signals and
+exit status of the process that stands for it. So a command takes 0.05 s of processor time less its
+own work, instead of half a second and more. All processes of ``pytest -n`` share one.
 
-Use a real process where how `rtee` is imported is what is tested, or limits of the process are.
+Use a real process where how `rtee` is imported is what is tested, or limits of the process are, or
+its identifier. Stop a fork by SIGTSTP instead of SIGSTOP, which only what stands for it would get.
+After SIGKILL, wait for the end of its streams: it goes a moment later than what stands for it.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ import tempfile
 import threading
 import traceback
 from pathlib import Path
+from types import ModuleType
 from typing import IO, NoReturn
 
 from rtee_client import HEAD, exactly
@@ -141,14 +145,14 @@ def _run(asked: dict[str, object], streams: list[int]) -> NoReturn:
         os.umask(int(asked["umask"]))  # type: ignore[call-overload]
         os.environ.clear()
         os.environ.update(asked["env"])  # type: ignore[call-overload]
-        sys.argv = ["rtee", *asked["words"]]  # type: ignore[misc]
+        kind, what, *words = asked["words"]  # type: ignore[misc]
         inherited = [each for each in os.environ.get("PYTHONPATH", "").split(os.pathsep) if each]
         sys.path[:0] = [os.getcwd(), *inherited]
         for folder in inherited:  # as the interpreter does when it starts
             if (own := Path(folder) / "sitecustomize.py").is_file():
                 runpy.run_path(str(own))
         _open_streams()
-        status = _main()
+        status = _ended(kind, what, words)
         threading._shutdown()
         atexit._run_exitfuncs()
         for stream in (sys.stdout, sys.stderr):
@@ -159,12 +163,10 @@ def _run(asked: dict[str, object], streams: list[int]) -> NoReturn:
         os._exit(status)
 
 
-def _main() -> int:
-    """Run `rtee` and return the exit status, as the interpreter does."""
-    from rtee.cli import main
-
+def _ended(kind: str, what: str, words: list[str]) -> int:
+    """Run code or a module, and return the exit status, as the interpreter does."""
     try:
-        main()
+        _execute(kind, what, words)
     except SystemExit as ended:
         if isinstance(ended.code, str):
             print(ended.code, file=sys.stderr)
@@ -173,6 +175,21 @@ def _main() -> int:
         sys.excepthook(*sys.exc_info())  # type: ignore[arg-type]
         return 1
     return 0
+
+
+def _execute(kind: str, what: str, words: list[str]) -> None:
+    sys.argv = [what, *words]
+    if (kind, what) == ("-m", "rtee"):  # which is imported already
+        from rtee.cli import main
+
+        main()
+    elif kind == "-m":
+        sys.modules.pop(what, None)  # runpy warns of one that is imported already
+        runpy.run_module(what, run_name="__main__", alter_sys=True)
+    else:
+        sys.argv[0] = kind
+        main_module = sys.modules["__main__"] = ModuleType("__main__")
+        exec(compile(what, "<string>", "exec"), main_module.__dict__)
 
 
 def _open_streams() -> None:
@@ -194,8 +211,17 @@ def _open_streams() -> None:
 # --- how tests call it ---------------------------------------------------------------------------
 
 
+_PLACE = "TESTS_OF_RTEE_COMMANDS"
+"""Variable of the environment: where the process listens that runs the commands of these tests."""
+
+
 def _started() -> str:
-    """Start the process that runs the commands of these tests; return where it listens."""
+    """Start the process that runs the commands of these tests; return where it listens.
+
+    The processes of ``pytest -n`` find the one of the process that started them.
+    """
+    if _PLACE in os.environ:
+        return os.environ[_PLACE]
     folder = tempfile.TemporaryDirectory(prefix="rtee-tests-")
     place = str(Path(folder.name) / "commands")
     listening = socket.socket(socket.AF_UNIX)
@@ -219,11 +245,20 @@ def _started() -> str:
         folder.cleanup()
 
     atexit.register(end)
+    os.environ[_PLACE] = place
     return place
+
+
+def python(*words: str) -> list[str]:
+    """Return a command line as `rtee.child.python` does, which tests put in its place."""
+    return [*PYTHON, *words]
 
 
 if __name__ == "__main__":
     serve(socket.socket(fileno=int(sys.argv[1])))
 else:
-    RTEE = (sys.executable, "-IS", str(Path(__file__).with_name("rtee_client.py")), _started())
+    PYTHON = (sys.executable, "-IS", str(Path(__file__).with_name("rtee_client.py")), _started())
+    """The command line of Python in a warm process, before ``-c CODE`` or ``-m MODULE``."""
+
+    RTEE = (*PYTHON, "-m", "rtee")
     """The command line of `rtee` in a warm process."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from rtee_process import RTEE
 
 BAD = {
     "ROS_DOMAIN_ID": ("300", "ROS_DOMAIN_ID=300 is not a domain"),
@@ -27,7 +27,7 @@ def test_it_is_one_sentence(tmp_path: Path, repository: Path, name: str, command
     tmp_path.chmod(0o700)
     value, sentence = BAD[name]
     done = subprocess.run(
-        [sys.executable, "-m", "rtee", *command.split()],
+        [*RTEE, *command.split()],
         cwd=repository,
         env={**os.environ, "XDG_RUNTIME_DIR": str(tmp_path), name: value},
         capture_output=True,

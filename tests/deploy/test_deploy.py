@@ -6,7 +6,6 @@ import os
 import pwd
 import shutil
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rtee_process import RTEE
 
 from rtee.deploy.check import check_service
 from rtee.deploy.files import check_visible, drop_in, hand_files, system_files
@@ -610,16 +610,13 @@ def test_the_certificates_of_a_service_are_made_by_its_user(tmp_path: Path) -> N
 # --- the command ---------------------------------------------------------------------------------
 
 
-def rtee(
-    *words: str | Path, python: str = sys.executable, path: str = "", **more: object
-) -> subprocess.CompletedProcess[str]:
+def rtee(*words: str | Path, path: str = "") -> subprocess.CompletedProcess[str]:
     repository = str(Path(__file__).parents[2])
     return subprocess.run(
-        [python, "-m", "rtee", "deploy", *map(str, words)],
+        [*RTEE, "deploy", *map(str, words)],
         env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (repository, path)))},
         capture_output=True,
         text=True,
-        **more,  # type: ignore[call-overload]
     )
 
 

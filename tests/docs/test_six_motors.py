@@ -11,6 +11,7 @@ from pathlib import Path
 
 import anyio
 import pytest
+from rtee_process import RTEE
 
 import rtee
 from rtee.running.run import RunOptions, run_hands
@@ -39,7 +40,7 @@ def package(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(package: Path, *arguments: str, **environment: str) -> str:
     path = os.pathsep.join([str(package), *filter(None, [os.environ.get("PYTHONPATH")])])
     done = subprocess.run(
-        [sys.executable, *arguments],
+        arguments,
         cwd=package,
         env={**os.environ, "PYTHONPATH": path, **environment},
         capture_output=True,
@@ -67,7 +68,7 @@ def test_all_files_of_the_layout_are_there(package: Path) -> None:
 @pytest.mark.heavy
 def test_it_passes_the_contract_suite(package: Path) -> None:
     options = ("-q", "-W", "error", "-p", "no:cacheprovider", "tests")
-    said = run(package, "-m", "pytest", *options, RTEE_CONTRACT_CYCLES="100")
+    said = run(package, sys.executable, "-m", "pytest", *options, RTEE_CONTRACT_CYCLES="100")
     assert "skipped" not in said
     assert int(re.findall(r"(\d+) passed", said)[0]) > 25
 
@@ -75,7 +76,7 @@ def test_it_passes_the_contract_suite(package: Path) -> None:
 def test_its_code_is_tidy(package: Path, repository: Path) -> None:
     """As the house has it: what people copy is an example in every respect."""
     settings = str(repository / "pyproject.toml")
-    ruff = ("-m", "ruff")
+    ruff = (sys.executable, "-m", "ruff")
     rules = "--extend-ignore=INP001,D104"
     run(package, *ruff, "check", "--config", settings, "--no-cache", rules, "hexa_hand")
     run(
@@ -94,7 +95,7 @@ def test_its_code_is_tidy(package: Path, repository: Path) -> None:
 def test_the_hand_runs_on_its_emulator(
     package: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    run(package, "-m", "rtee", "extract", "hexa_hand", "--save")
+    run(package, *RTEE, "extract", "hexa_hand", "--save")
     monkeypatch.syspath_prepend(str(package))
     monkeypatch.chdir(package)
     # The 20 ms that a request may take pass on a busy computer before a thread runs.

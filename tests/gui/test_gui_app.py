@@ -24,6 +24,7 @@ import pytest
 import viser
 from remote.serving import URDF, Config, Remote, free_endpoint, make_hand, make_library, serving
 from remote.test_truth import ACTIVE, STATE, status
+from rtee_process import PYTHON
 
 import rtee
 from rtee.actions.library import ActionLibrary
@@ -706,7 +707,7 @@ with window(admitted(sys.argv[1])) as connection:
 
 @pytest.mark.samples("9")
 @pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")  # as `serve` does
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTSTP])
 async def test_jogging_ends_when_the_last_operator_has_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, repository: Path, end: signal.Signals
 ) -> None:
@@ -724,7 +725,7 @@ async def test_jogging_ends_when_the_last_operator_has_gone(
         def window(role: AccessRole) -> subprocess.Popen[str]:
             process = stack.enter_context(
                 subprocess.Popen(
-                    [sys.executable, "-c", WINDOW, links[role]],
+                    [*PYTHON, "-c", WINDOW, links[role]],
                     stdout=subprocess.PIPE,
                     text=True,
                     cwd=repository,

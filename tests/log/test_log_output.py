@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet
 import pytest
-from rtee_process import RTEE
+from rtee_process import PYTHON, RTEE
 from typer.testing import CliRunner
 
 import rtee
@@ -640,7 +640,7 @@ def test_an_export_that_is_ended_leaves_nothing(story: Path, tmp_path: Path) -> 
         "export.tables = lambda *_: os.kill(os.getpid(), signal.SIGTERM)\n"
         "from rtee.cli import main; main()"
     )
-    command = [sys.executable, "-c", program, "log", "export", str(story), str(tmp_path)]
+    command = [*PYTHON, "-c", program, "log", "export", str(story), str(tmp_path)]
     assert subprocess.run(command, check=False).returncode == 128 + signal.SIGTERM
     assert list(tmp_path.iterdir()) == []
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from rtee_process import python
 
 from rtee.actions.library import ActionLibrary
 from rtee.hand.model import Hand
@@ -27,3 +28,9 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("RTEE_CONNECT", raising=False)
     monkeypatch.delenv("RTEE_HAND", raising=False)
     return tmp_path / "run"
+
+
+@pytest.fixture(autouse=True)
+def warm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Doors and planners start in no time."""
+    monkeypatch.setattr("rtee.child.python", python)

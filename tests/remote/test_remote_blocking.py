@@ -17,6 +17,7 @@ from typing import Any
 import anyio.from_thread
 import numpy as np
 import pytest
+from rtee_process import PYTHON
 
 import rtee
 from rtee.actions.build import StepPlan
@@ -135,7 +136,7 @@ def test_a_forked_process_is_told_to_be_spawned(served: Served) -> None:
         "        sys.exit(42 if 'spawn' in str(error) else 1)\n"
         "print(os.waitstatus_to_exitcode(os.wait()[1]), hand.state().tick > 0)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run([*PYTHON, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stdout.strip()) == (0, "42 True"), done.stderr
 
 
@@ -319,6 +320,7 @@ def test_no_hand() -> None:
         rtee.connect_blocking("small")
 
 
+@pytest.mark.heavy  # so do the scripts of the next two tests
 def test_a_script_that_forgets_to_close_ends_all_the_same(served: Served) -> None:
     code = "import rtee; hand = rtee.connect_blocking('small'); print(hand.state().tick > 0)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -352,7 +354,7 @@ def test_a_script_that_is_interrupted_cancels_its_goal(served: Served, tmp_path:
         "hand = rtee.connect_blocking('small')\n"
         "hand.do('fist', speed=0.05, on_feedback=lambda _: _thread.interrupt_main())\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run([*PYTHON, "-c", code], capture_output=True, text=True)
     assert done.returncode != 0
     assert "KeyboardInterrupt" in done.stderr
     assert served.watcher.results[0].cancelled

@@ -4,13 +4,13 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import anyio.from_thread
 import pytest
+from rtee_process import RTEE
 from typer.testing import CliRunner
 
 from rtee.actions.library import ActionLibrary
@@ -202,11 +202,8 @@ def test_a_hand_that_does_not_answer_is_named_and_the_others_stop(served: Served
 
 
 def test_ctrl_c_cancels_the_goal(served: Served) -> None:
-    code = "from rtee.cli.main import main; main()"
     words = ["do", "fist", "--speed", "0.05", "--timeout", "60"]
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, *words], stdout=subprocess.PIPE, text=True
-    )
+    process = subprocess.Popen([*RTEE, *words], stdout=subprocess.PIPE, text=True)
     while not served.watcher.goals:
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)

@@ -382,7 +382,7 @@ async def test_stalled_subscribers_hold_up_nobody(hand: Hand, library: ActionLib
         readers = [await started(READER) for _ in range(4)]
         async with rtee.connect("small") as other:
             for process in readers:
-                os.kill(process.pid, signal.SIGSTOP)
+                os.kill(process.pid, signal.SIGTSTP)
             while len(served.server._identities) > 1:
                 assert (await other.do("Trig", "index", intensity=0.1)).reached
                 assert (await other.do("Trig", "index", intensity=0.2)).reached
@@ -425,7 +425,7 @@ async def test_twenty_sessions_that_stop_to_read_hold_up_nobody(
             assert len(served.server._identities) == 21
             before = _memory()
             if how == "frozen":
-                os.kill(readers.pid, signal.SIGSTOP)
+                os.kill(readers.pid, signal.SIGTSTP)
             else:
                 assert readers.stdin is not None
                 await readers.stdin.send(b"\n")

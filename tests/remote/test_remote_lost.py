@@ -3,10 +3,12 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import anyio
 import pytest
+from rtee_process import PYTHON
 
 import rtee
 from rtee.actions.library import ActionLibrary
@@ -48,8 +50,8 @@ anyio.run(main)
 """
 
 
-async def started(code: str, *arguments: str) -> anyio.abc.Process:
-    process = await anyio.open_process([sys.executable, "-c", code, *arguments], stderr=None)
+async def started(code: str, *arguments: str, program: Sequence[str] = PYTHON) -> anyio.abc.Process:
+    process = await anyio.open_process([*program, "-c", code, *arguments], stderr=None)
     assert await printed_line(process) == b"there"
     return process
 
@@ -85,7 +87,7 @@ async def test_a_frozen_client_is_noticed(hand: Hand, library: ActionLibrary) ->
     async with serving(hand, library) as served:
         # It holds without moving: what ends a goal, too, is tested with clients that are killed.
         process = await started(HOLDER, "acquire")
-        os.kill(process.pid, signal.SIGSTOP)
+        os.kill(process.pid, signal.SIGTSTP)
         await served.event("client_lost")
         async with rtee.connect("small") as remote:
             assert (await remote.status()).holder == ""
@@ -114,7 +116,7 @@ async def test_closing_the_connection_of_a_frozen_client_holds_up_no_other(
             clients = served.server._identities
             await until(lambda: len(clients) == 5)
             for process in readers:
-                os.kill(process.pid, signal.SIGSTOP)
+                os.kill(process.pid, signal.SIGTSTP)
             still = 20
             while still:
                 still -= len(clients) == 1
@@ -164,7 +166,8 @@ async def test_leaving_while_a_goal_runs_is_being_lost(hand: Hand, library: Acti
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
 async def test_a_killed_or_frozen_hand_is_noticed(tmp_path: Path, end: signal.Signals) -> None:
     tests = str(Path(__file__).parents[1])
-    process = await started(RUN, tests, str(tmp_path))
+    # A real process, which is gone once its end is known.
+    process = await started(RUN, tests, str(tmp_path), program=(sys.executable,))
     async with rtee.connect("small") as remote:
         running = await remote.start("fist", **LASTING)
         states = remote.states(20.0)

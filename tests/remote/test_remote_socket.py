@@ -6,12 +6,12 @@ import os
 import socket
 import stat
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import anyio.to_thread
 import pytest
+from rtee_process import PYTHON
 
 import rtee
 from rtee.actions.library import ActionLibrary
@@ -52,7 +52,7 @@ async def test_another_user_does_not_get_in(
     hand: Hand, library: ActionLibrary, runtime: Path
 ) -> None:
     async with serving(hand, library) as served:
-        words = [sys.executable, "-c", INTRUDER, served.server.endpoint, str(NOBODY)]
+        words = [*PYTHON, "-c", INTRUDER, served.server.endpoint, str(NOBODY)]
         for _ in range(2):
             own, other = (await ran(words)).stdout.splitlines()
             assert own == "in"

@@ -18,6 +18,7 @@ from pathlib import Path
 import anyio
 import anyio.to_thread
 import pytest
+from rtee_process import PYTHON
 
 import rtee
 from rtee.actions.library import ActionLibrary
@@ -191,7 +192,7 @@ def test_a_client_shows_whose_it_is_and_hides_its_token() -> None:
     program = "import os, sys; from rtee.remote.connections import vouching\nos.setuid(65534)\n"
     program += f"with vouching('{token}'): print(flush=True); sys.stdin.read()"
     if os.geteuid() == 0:  # only root can act as another user
-        words, pipe = [sys.executable, "-c", program], subprocess.PIPE
+        words, pipe = [*PYTHON, "-c", program], subprocess.PIPE
         with subprocess.Popen(words, stdin=pipe, stdout=pipe) as other:
             assert other.stdout is not None
             other.stdout.readline()
@@ -271,7 +272,7 @@ async def test_another_user_stops_nothing(
     hand: Hand, library: ActionLibrary, runtime: Path
 ) -> None:
     async with serving(hand, library) as served:
-        words = [sys.executable, "-c", STRANGER, str(path_of(served)), str(NOBODY)]
+        words = [*PYTHON, "-c", STRANGER, str(path_of(served)), str(NOBODY)]
         for _ in range(2):
             assert (await ran(words)).stdout == "Permission denied\n"
             for folder in (runtime, *runtime.parents):  # as after a mistake

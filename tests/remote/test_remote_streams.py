@@ -301,7 +301,7 @@ async def test_a_goal_takes_over(hand: Hand, library: ActionLibrary) -> None:
 
 
 @pytest.mark.samples("9")
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTSTP])
 async def test_a_dead_client_is_noticed(hand: Hand, library: ActionLibrary, how: int) -> None:
     async with serving(hand, library) as served:
         process = await started(STREAMER)
@@ -309,14 +309,14 @@ async def test_a_dead_client_is_noticed(hand: Hand, library: ActionLibrary, how:
             assert (await remote.status()).stream.samples > 0
             os.kill(process.pid, how)
             await served.event("client_lost")
-            if how == signal.SIGSTOP:
+            if how == signal.SIGTSTP:
                 process.kill()
             await process.aclose()
             assert "is lost" in (await served.event(STREAM_ENDED)).text
             await until(lambda: not served.loop.controller.moving)
             assert (await remote.status()).holder == ""
             assert (await remote.do("poke")).reached
-        if how == signal.SIGSTOP:  # the network takes a second to notice, the hand brakes before
+        if how == signal.SIGTSTP:  # the network takes a second to notice, the hand brakes before
             kinds = [event.kind for event in served.watcher.events]
             assert kinds.index("stream_paused") < kinds.index("client_lost")
 
