@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import anyio
@@ -58,6 +59,7 @@ class Connected:
     capabilities: Capabilities
 
 
+@cache
 def hands() -> list[PreparedHand]:
     """Return the hands in ``config/`` with their devices, those with most fingers first."""
     folders = sorted(path.parent for path in (ROOT / "config").glob("*/hand.yaml"))

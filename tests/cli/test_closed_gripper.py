@@ -129,20 +129,12 @@ def test_the_doctor_warns_of_a_rest_that_is_a_pinch(closed: Path, made: Path) ->
     assert found[1]["subject"] == "devices"
 
 
-def test_the_doctor_needs_no_geometry(closed: Path) -> None:
+def test_neither_the_doctor_nor_run_needs_geometry(closed: Path) -> None:
     """As on a robot's computer without Pinocchio and Coal."""
     hide = "import sys; sys.modules['coal'] = sys.modules['pinocchio'] = None\n"
     code = hide + "from rtee.drivers.diagnosis.model import check_model\n"
-    code += "print(check_model('config/franka')[0])"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=closed, capture_output=True, text=True, check=True
-    )
-    assert LINE in done.stdout
-
-
-def test_run_loads_no_geometry(closed: Path) -> None:
-    hide = "import sys; sys.modules['coal'] = sys.modules['pinocchio'] = None\n"
-    code = hide + "sys.argv = 'rtee run franka --no-log --duration 0.1'.split()\n"
+    code += "print(check_model('config/franka')[0])\n"
+    code += "sys.argv = 'rtee run franka --no-log --duration 0.1'.split()\n"
     code += "from rtee.cli import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -152,4 +144,5 @@ def test_run_loads_no_geometry(closed: Path) -> None:
         text=True,
     )
     assert done.returncode == 0, done.stderr
+    assert LINE in done.stdout.splitlines()[0]
     assert LINE in done.stderr

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from hand.models import GRIPPER, SRDF, YAML, line_of
-from rtee_process import RTEE
+from rtee_process import PYTHON, RTEE
 
 from rtee.cli.main import main
 
@@ -320,7 +320,7 @@ def test_no_memory_for_a_thread(text: str, status: int) -> None:
         "main.cli = fail\n"
         "main.main()\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run([*PYTHON, "-c", code], capture_output=True, text=True)
     assert done.returncode == status
     assert ("there is not enough memory; 'ulimit -v'" in done.stderr) is (status == 2)
     assert ("Traceback" in done.stderr) is (status == 1)
@@ -467,7 +467,7 @@ def test_a_reader_that_leaves_is_no_mistake() -> None:
     os.close(ours)
     try:
         done = subprocess.run(
-            [sys.executable, "-u", "-m", "rtee", "hands"], stdout=theirs, stderr=subprocess.PIPE
+            [sys.executable, "-u", "-m", "rtee", "--help"], stdout=theirs, stderr=subprocess.PIPE
         )
     finally:
         os.close(theirs)
@@ -475,7 +475,7 @@ def test_a_reader_that_leaves_is_no_mistake() -> None:
 
 
 @pytest.mark.parametrize(
-    ("closed", "command", "status"), [(">&-", "hands", 0), ("2>&-", "extract nosuch", 2)]
+    ("closed", "command", "status"), [(">&-", "--help", 0), ("2>&-", "nosuch", 2)]
 )
 def test_a_stream_that_is_closed_is_no_mistake(closed: str, command: str, status: int) -> None:
     done = subprocess.run(

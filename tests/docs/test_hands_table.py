@@ -28,10 +28,10 @@ def test_what_a_device_can_do_comes_from_its_driver(repository: Path) -> None:
     """One that the suite of its driver tells apart: effort limits, currents, rates."""
     from hands_table import connected, hands
 
-    found = {one.hand.name: connected(one) for one in hands()}
-    (svh,) = found["schunk_svh"]
+    found = {one.hand.name: one for one in hands()}
+    (svh,) = connected(found["schunk_svh"])
     assert "max_effort" in svh.capabilities.accepts
     assert svh.capabilities.homing
-    (leap,) = found["leap_hand"]
+    (leap,) = connected(found["leap_hand"])
     assert leap.bus == "Dynamixel"
     assert "temperature" in leap.capabilities.measures

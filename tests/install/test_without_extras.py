@@ -237,6 +237,7 @@ def test_the_gui_shows_a_hand_without_the_extraction(tmp_path: Path, repository:
     assert done.stdout.endswith("shown\n")
 
 
+@pytest.mark.heavy  # a contract of import-linter says so of the code, test_online_modules of a hand
 def test_the_online_half_imports_neither_pinocchio_nor_coal() -> None:
     done = subprocess.run(
         [sys.executable, "-c", IMPORT, str(HIDDEN.parent), ",".join(UNLISTED)],
