@@ -75,6 +75,7 @@ print([result.fits for result in rtee.run_trials("{GRIPPER}", trials, jobs=2)])
 """
 
 
+@pytest.mark.samples("True")
 @pytest.mark.parametrize("as_file", [True, False])
 def test_a_program_need_not_guard_its_trials(tmp_path: Path, as_file: bool) -> None:
     """Its processes neither run it again nor look for the file of the standard input."""

@@ -171,7 +171,7 @@ async def test_streams_come_out_again(small: Hand, tmp_path: Path, profile: Prof
     """With jitter, loss, duplicates, spikes, velocities, efforts, a pause, goals, two streams."""
     if profile is ProfileKind.JERK_LIMITED:
         pytest.importorskip("ruckig")
-    chosen = LoopSettings(profile=ProfileSettings(profile))
+    chosen = LoopSettings(rate=250.0, profile=ProfileSettings(profile))
     random = np.random.default_rng(4)
     async with recording(small, tmp_path, chosen) as rig:
         streams, most = rig.loop.streams, small.actuator("thumb_slide").effort

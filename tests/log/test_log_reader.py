@@ -192,11 +192,15 @@ def test_index_by_name(story: Path) -> None:
         states.index("secnod")
 
 
-def test_a_file_cut_off_anywhere_reads_up_to_its_last_chunk(story: Path, tmp_path: Path) -> None:
+@pytest.mark.samples("2003")
+@pytest.mark.parametrize("step", [2003, 997])
+def test_a_file_cut_off_anywhere_reads_up_to_its_last_chunk(
+    story: Path, tmp_path: Path, step: int
+) -> None:
     whole = story.read_bytes()
     cut = tmp_path / "cut.mcap"
     seen = set()
-    for length in [*range(8, len(whole), 997), len(whole) - 1, len(whole)]:
+    for length in [*range(8, len(whole), step), len(whole) - 1, len(whole)]:
         cut.write_bytes(whole[:length])
         recording = None
         try:

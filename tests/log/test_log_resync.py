@@ -146,15 +146,17 @@ def test_a_damaged_summary_costs_nothing(story: Path, tmp_path: Path, offset: in
     assert "was not closed" not in " ".join(recording.notes)
 
 
-def test_random_damage_never_makes_measurements(story: Path, tmp_path: Path) -> None:
+@pytest.mark.samples("7")
+@pytest.mark.parametrize("seed", [7, 8, 9])  # arbitrary, but the same every time
+def test_random_damage_never_makes_measurements(story: Path, tmp_path: Path, seed: int) -> None:
     whole = read(story)
     data = story.read_bytes()
-    chance = random.Random(7)  # arbitrary, but the same every time
+    chance = random.Random(seed)
     chunks = index_file(story).chunks
     # Between the head of the second chunk and the end: times of the start stay the same.
     first = chunks[1].record.offset - HEAD.size
     ticks = 0
-    for case in range(60):
+    for case in range(20):
         damaged = bytearray(data if case % 2 else _unclosed(data, story))
         for _ in range(chance.choice((1, 1, 3))):
             size = chance.choice((1, 9, 100, 3000))
@@ -168,7 +170,7 @@ def test_random_damage_never_makes_measurements(story: Path, tmp_path: Path) -> 
         assert again.notes == ()
         assert again.actuator_states.tick.tolist() == found
         ticks += len(found)
-    assert ticks > 60 * 100  # most of the 200 ticks of each
+    assert ticks > 20 * 100  # most of the 200 ticks of each
 
 
 class _Counting(io.FileIO):

@@ -132,6 +132,7 @@ def in_base(hand: Hand, *messages: Any) -> dict[str, FloatArray]:
     return {link: pose(link) for link in hand.urdf.links}
 
 
+@pytest.mark.samples("*-by_mcap", "schunk-by_rosbags")
 @pytest.mark.parametrize("reader", [by_rosbags, by_mcap])
 @pytest.mark.parametrize("name", ["schunk", "heri_II", "qbhand", "dagana", "robotiq_3f"])
 def test_transforms_put_every_link_where_pinocchio_does(
@@ -220,6 +221,7 @@ def addresses(text: str) -> list[str]:
 MEDIA = {".dae": "model/vnd.collada+xml", ".stl": "model/stl", ".obj": "model/obj"}
 
 
+@pytest.mark.samples("hands-robotiq_3f", "more_hands-leap_right")  # all formats
 @pytest.mark.parametrize(
     ("room", "name"),
     [("hands", "schunk"), ("hands", "robotiq_3f"), ("more_hands", "leap_right")],
