@@ -120,6 +120,13 @@ def load_configured(
     name_or_path: str | Path, *, config_dirs: Sequence[Path | str] = ()
 ) -> tuple[Hand, HandConfig]:
     """Load a configured hand together with its configuration; see `load_hand`."""
+    return load_documented(name_or_path, config_dirs=config_dirs)[:2]
+
+
+def load_documented(
+    name_or_path: str | Path, *, config_dirs: Sequence[Path | str] = ()
+) -> tuple[Hand, HandConfig, YamlDocument]:
+    """Load a configured hand with its configuration and the document of its hand.yaml."""
     folder, file = hand_folder(name_or_path, config_dirs=config_dirs)
     config, document = read_document(file)
     # Found by its folder's name, so recordings and network keys must use the same one.
@@ -142,7 +149,7 @@ def load_configured(
     if joint and joint not in hand.actuator_names:
         hint = suggestion(joint, hand.actuator_names)
         raise document.error(("ros2", "gripper_joint"), f"unknown actuator '{joint}'; {hint}")
-    return hand, config
+    return hand, config, document
 
 
 def _subtree(config: HandConfig, document: YamlDocument) -> list[Edit]:

@@ -141,18 +141,22 @@ class YamlDocument:
         path: The file it was read from.
         data: Its content: mappings, lists, strings, numbers, booleans and ``None``.
         text: The text that holds it.
+        known: Its `lines`, if they were found when it was read.
     """
 
     path: Path
     data: Any
     text: str = ""
+    known: Mapping[Location, int] | None = None
 
     @cached_property
     def lines(self) -> Mapping[Location, int]:
         """The line of every key and item, by its location from the root.
 
-        Only errors need it, so the text is read once more then.
+        Of a text that `emit` wrote, only errors need it, so it is read once more then.
         """
+        if self.known is not None:
+            return self.known
         # The text was judged when it was first read, so this reader need not refuse anything.
         reader = _Reader(self.path, UserError, foreign=True)
         reader.value(yaml_reader().compose(self.text), ())
@@ -264,10 +268,11 @@ def parse_yaml(
         UserError: in the same cases as `read_yaml`.
     """
     data = read_emitted(text)
-    if data is None:
-        node = _composed(text, path, what, raised, foreign=foreign)
-        data = _Reader(path, raised, foreign=foreign).document(node, what)
-    return YamlDocument(path, data, text)
+    if data is not None:
+        return YamlDocument(path, data, text)
+    reader = _Reader(path, raised, foreign=foreign)
+    node = _composed(text, path, what, raised, foreign=foreign)
+    return YamlDocument(path, reader.document(node, what), text, reader.lines)
 
 
 def _composed(text: str, path: Path, what: str, raised: type[UserError], *, foreign: bool) -> Any:

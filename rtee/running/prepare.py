@@ -18,9 +18,9 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.objects import between_fingers
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError
-from rtee.hand.config import HandConfig, read_document
+from rtee.hand.config import HandConfig
 from rtee.hand.config_schema import Lines
-from rtee.hand.load import hand_folder, load_configured
+from rtee.hand.load import load_documented
 from rtee.hand.model import Hand
 from rtee.hand.validation import defaults
 from rtee.log import RecorderSettings
@@ -164,16 +164,15 @@ def prepare(name: str, options: RunOptions) -> PreparedHand:
     Raises:
         UserError: if there is a mistake in the files or the options.
     """
-    hand, config = load_configured(name, config_dirs=options.config_dirs)
-    folder, file = hand_folder(name, config_dirs=options.config_dirs)
-    document = read_document(file)[1]
+    hand, config, document = load_documented(name, config_dirs=options.config_dirs)
+    folder = document.path.parent
     settings = loop_settings(config, rate=options.rate)
     choice = DeviceChoice(
         options.driver,
         options.emulated,
         options.ideal,
         tuple(options.driver_options.items()),
-        str(file),
+        str(document.path),
         {device: document.line(("devices", device)) or 1 for device in config.devices},
         str(folder),
     )

@@ -2,13 +2,16 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from hand.models import YAML, line_of
 from rtee.errors import ConfigError
+from rtee.hand import yamlfile
 from rtee.hand.config import HandConfig, read_document
 from rtee.hand.load import load_configured, load_hand
+from rtee.running.prepare import RunOptions, prepare
 
 
 def rewrite(configured: Path, old: str, new: str) -> str:
@@ -44,6 +47,25 @@ def test_a_model_is_not_a_hand(tmp_path: Path, model: str, option: str) -> None:
         with pytest.raises(ConfigError, match="is a model, not a hand") as told:
             load_hand(path)
         assert f"`rtee new NAME {option} {path}`" in str(told.value)
+
+
+def test_a_hand_to_run_is_parsed_once(
+    configured: Path, monkeypatch: pytest.MonkeyPatch, repository: Path
+) -> None:
+    """Though its devices know the lines that they are from."""
+    parsed = []
+    reader = yamlfile.yaml_reader
+
+    def counted() -> Any:
+        parsed.append(1)
+        return reader()
+
+    monkeypatch.setattr(yamlfile, "yaml_reader", counted)
+    folder = repository / "config" / "robotiq_2f_85"
+    rows = (folder / "hand.yaml").read_text().splitlines()
+    (device,) = prepare(str(folder), RunOptions(emulated=True)).devices
+    assert device.spec.source == f"{folder / 'hand.yaml'}:{1 + rows.index('  gripper:')}"
+    assert len(parsed) == 1
 
 
 def test_defaults_of_the_configuration(configured: Path) -> None:
