@@ -76,15 +76,20 @@ class Schedule(ABC, Generic[M]):
 
     def next_due(self) -> float | None:
         """Return when to call `step` next, or ``None`` if not before a message is received."""
-        due = [self._events[0][0]] if self._events else []
+        due = self._events[0][0] if self._events else None
         period = self._period
-        if period:
-            due.append(self._stepped + period)
-        return min(due) if due else None
+        if period and (due is None or self._stepped + period < due):
+            due = self._stepped + period
+        return due
 
     @property
     def _period(self) -> float:
-        return min((e.period for e in self.emulators if e.period), default=0.0)
+        shortest = 0.0
+        for emulator in self.emulators:
+            period = emulator.period
+            if period and not 0.0 < shortest <= period:
+                shortest = period
+        return shortest
 
     def _put(self, when: float, inward: bool, message: M) -> None:
         heapq.heappush(self._events, (when, next(self._number), inward, message))

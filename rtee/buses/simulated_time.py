@@ -28,7 +28,8 @@ _TURN = 10e-6
 """Time that one turn of the event loop takes [s]: about that of a real one. Without it, a program
 that polls a device until a timeout would never end."""
 
-_Select = Callable[[float | None], list[tuple[selectors.SelectorKey, int]]]
+_Events = list[tuple[selectors.SelectorKey, int]]
+_Select = Callable[[float | None], _Events]
 
 
 @dataclass(eq=False, slots=True)
@@ -130,31 +131,28 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
 
     def _release(self) -> None:
         """Resume the threads whose wait is over."""
-        if not self._waits:
-            return
         for wait in [w for w in self._waits if w.until <= self._time or w.ready()]:
             self._waits.remove(wait)
             self.work_begins()
             wait.over.set()
 
-    def _select(
-        self, timeout: float | None, select: _Select
-    ) -> list[tuple[selectors.SelectorKey, int]]:
+    def _select(self, timeout: float | None, select: _Select) -> _Events:
         """Select like a selector, but advance the time instead of waiting."""
         self._time += _TURN
-        self._release()
+        if self._waits:
+            self._release()
         events = select(0)
         if events or (timeout is not None and timeout <= 0.0):
             return events
         if self._working:
             # The next action of a thread wakes the loop up.
             return select(None)
-        due = [wait.until for wait in self._waits if wait.until < math.inf]
-        if timeout is not None:
-            due.append(self._time + timeout)
-        if not due:
+        due = math.inf if timeout is None else self._time + timeout
+        for wait in self._waits:
+            due = min(due, wait.until)
+        if due == math.inf:
             return select(None)  # for a signal, or an unknown thread
-        self._time = max(self._time, min(due))
+        self._time = max(self._time, due)
         self._release()
         return []
 
@@ -163,12 +161,12 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
 
 
 class _JumpingSelector(selectors.DefaultSelector):
-    def __init__(self, passing: Callable[[float | None, _Select], Any]) -> None:
+    def __init__(self, passing: Callable[[float | None, _Select], _Events]) -> None:
         super().__init__()
         self._passing = passing
 
-    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        return list(self._passing(timeout, super().select))
+    def select(self, timeout: float | None = None) -> _Events:
+        return self._passing(timeout, super().select)
 
 
 class SimulatedQueue(queue.Queue[Any]):

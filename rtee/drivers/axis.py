@@ -181,17 +181,18 @@ class Axis:
         # Several steps, since contact force and heat are recomputed after each.
         for step in range(1, steps + 1):
             self._advance(dt, share, limit)
-            self._warm(dt)
-            if self.velocity == 0.0 and not self._due:  # only the heat changes
+            if self.velocity == 0.0 and not self._due:  # from here on only the heat changes
                 self._age += dt * (steps - step)
-                self._warm(dt, steps - step)
+                self._warm(dt, steps - step + 1)
                 return
+            self._warm(dt, 1)
 
     def _follow(self, dt: float) -> None:
         """Update the target that the axis follows, delayed by its lag."""
         self._age += dt
         if self.lag <= 0.0 or self.target == self.position:
-            self._due.clear()
+            if self._due:
+                self._due.clear()
             self._followed = self._asked = self.target
             return
         if self.target != self._asked:
@@ -205,19 +206,29 @@ class Axis:
         self._follow(dt)
         # A motor that is too weak for its friction stands still, and pushes all the same.
         if self.enabled and not self.stuck and self.max_effort >= self.friction:
-            lower, upper = self._bounds()
-            goal = min(max(self._followed, lower), upper)
-            error = goal - self.position
+            free = self.obstacle is None and not self.self_locking
+            lower, upper = (self.lower, self.upper) if free else self._bounds()
+            # Compared instead of `min` and `max`: emulated hands take most of their time here.
+            goal = self._followed
+            if goal < lower:
+                goal = lower
+            if goal > upper:
+                goal = upper
+            change = goal - self.position
             # An exponential never arrives, so the last bit is covered at once.
-            near = abs(error) <= self.resolution
-            change = error if near else min(max(error * share, -limit), limit)
+            if not abs(change) <= self.resolution:
+                change *= share
+                if change < -limit:
+                    change = -limit
+                if change > limit:
+                    change = limit
             self.position += change
             self.velocity = change / dt
         else:
             self.velocity = 0.0
         self._exert()
 
-    def _warm(self, dt: float, steps: int = 1) -> None:
+    def _warm(self, dt: float, steps: int) -> None:
         # Heating grows with the square of the effort, as losses do with the current.
         rated = self.rating if self.rating > 0.0 else 1.0
         warming = self.heating * (self.effort / rated) ** 2
@@ -230,7 +241,11 @@ class Axis:
         if not self.enabled:
             self.effort = 0.0
             return
-        error, contact = self._followed - self.position, self._contact()
+        error = self._followed - self.position
+        if error == 0.0 and self.velocity == 0.0 and self.obstacle is None:
+            self.effort = 0.0
+            return
+        contact = self._contact()
         if error != 0.0:
             direction = math.copysign(1.0, error)
         elif contact == 0.0 and self.velocity != 0.0:  # it has arrived in this step

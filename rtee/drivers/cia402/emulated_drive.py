@@ -35,6 +35,11 @@ _TRANSITIONS = {
     (codec.State.ENABLED, 0x06): codec.State.READY,
 }
 
+_POWERED = (codec.StatusBit.VOLTAGE | codec.StatusBit.REMOTE).value
+_REACHED = codec.StatusBit.REACHED.value
+_ACKNOWLEDGED = codec.StatusBit.ACKNOWLEDGED.value
+_HOMING_ERROR = codec.StatusBit.HOMING_ERROR.value
+"""Bits of the statusword as integers: flags take long to combine, and it is made in each step."""
 _LOST_HOST = 0x8130
 """Error code of a missing host heartbeat."""
 _VENDOR = 0xFF
@@ -374,19 +379,19 @@ class Drive:
     def _report(self) -> None:
         """Update the objects with the state of the drive."""
         axis, node = self.axis, self.node
-        word = self.state.value[1] | codec.StatusBit.VOLTAGE | codec.StatusBit.REMOTE
+        word = self.state.value[1] | _POWERED
         mode = node.get(Object.MODE_DISPLAY)
         stands = not axis.moving
         if mode == codec.Mode.HOMING:
             under_way = bool(self._legs) and not self._halted
-            word |= codec.StatusBit.REACHED if not under_way and stands else 0
-            word |= codec.StatusBit.ACKNOWLEDGED if self.homed else 0
-            word |= codec.StatusBit.HOMING_ERROR if self._homing_error else 0
+            word |= _REACHED if not under_way and stands else 0
+            word |= _ACKNOWLEDGED if self.homed else 0
+            word |= _HOMING_ERROR if self._homing_error else 0
         else:
             reached = stands if self._halted else axis.position == self._goal
-            word |= codec.StatusBit.REACHED if reached else 0
+            word |= _REACHED if reached else 0
             cyclic = mode == codec.Mode.CYCLIC_POSITION and self.state is codec.State.ENABLED
-            word |= codec.StatusBit.ACKNOWLEDGED if self._acknowledged or cyclic else 0
+            word |= _ACKNOWLEDGED if self._acknowledged or cyclic else 0
         node.set(Object.STATUSWORD, word)
         node.set(Object.POSITION, round(axis.measured - self.zero))
         node.set(Object.VELOCITY, round(axis.velocity))

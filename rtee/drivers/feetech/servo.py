@@ -105,7 +105,7 @@ class FeetechMemory:
 
     def get(self, register: Register) -> int:
         """Return a register's value."""
-        return self._family.unpack(register, bytes(self._bytes))
+        return self._family.unpack(register, self._bytes)
 
     def set(self, register: Register, value: int) -> None:
         """Set a register without any check; the value is not stored."""
@@ -322,7 +322,7 @@ class EmulatedFeetech(EmulatedServo):
     def _watch_load(self, now: float) -> None:
         if self._family.protection is None or Status.OVERLOAD in self._latched:
             return
-        _, lasting, most = (self.get(Register(at, 1)) for at in self._family.protection)
+        _, lasting, most = map(self.get, self._family.protection)
         # Torques are in percent, the time in the register's unit.
         strained = abs(self.axis.effort) > most * FULL / 100 > 0
         if self.strained_for(strained, now) > lasting * self._family.torque_time:
@@ -358,7 +358,7 @@ class EmulatedFeetech(EmulatedServo):
             current, full = self.get(table.GOAL_TIME), self.get(table.PROTECTION_CURRENT)
             most = min(current / full, 1.0) * FULL if full else 0.0
         if Status.OVERLOAD in self._latched and self._family.protection is not None:
-            protective = self.get(Register(self._family.protection[0], 1))
+            protective = self.get(self._family.protection[0])
             most = min(most, protective * FULL / 100)
         return most
 

@@ -104,7 +104,7 @@ class Family:
         state: Number of bytes of the state, from the present position on.
         sync_read: Whether the servos answer a sync read.
         torque_time: Time of the overload protection per count of its register [s].
-        protection: Addresses of protective torque, protection time and overload torque; ``None``:
+        protection: Registers of protective torque, protection time and overload torque; ``None``:
             there is no overload protection.
     """
 
@@ -118,7 +118,11 @@ class Family:
     state: int
     sync_read: bool
     torque_time: float = 0.01
-    protection: tuple[int, int, int] | None = (34, 35, 36)
+    protection: tuple[Register, Register, Register] | None = (
+        Register(34, 1),
+        Register(35, 1),
+        Register(36, 1),
+    )
 
     @property
     def rad_per_count(self) -> float:
@@ -143,7 +147,7 @@ class Family:
             value = 1 << register.sign | -value
         return int(value).to_bytes(register.size, self.order)
 
-    def unpack(self, register: Register, data: bytes, start: int = 0) -> int:
+    def unpack(self, register: Register, data: bytes | bytearray, start: int = 0) -> int:
         """Return the value of a register in ``data``, which begins at the address ``start``."""
         at = register.address - start
         value = int.from_bytes(data[at : at + register.size], self.order)
@@ -169,7 +173,7 @@ _TURN = 2.0 * math.pi
 FAMILIES: Final[dict[FamilyName, Family]] = {
     "scs": Family(
         "scs", "big", 1024, math.radians(300.0), 511, Register(48, 1), None, 11, False,
-        torque_time=0.04, protection=(37, 38, 39),
+        torque_time=0.04, protection=(Register(37, 1), Register(38, 1), Register(39, 1)),
     ),
     "sts": Family(
         "sts", "little", 4096, _TURN, 2048, Register(55, 1), Register(31, 2, 11), 15, True
