@@ -31,22 +31,23 @@ PAPERS = {
 }
 
 
-@pytest.fixture(params=HANDS)
+# Shared by all tests of a hand, which change nothing of it.
+@pytest.fixture(params=HANDS, scope="module")
 def name(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def hand(name: str) -> Hand:
     return load_hand(CONFIG / name)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def config(name: str) -> HandConfig:
     return read_document(CONFIG / name)[0]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def library(name: str, hand: Hand) -> ActionLibrary:
     return ActionLibrary.load(hand, CONFIG / name / "actions")
 

@@ -101,6 +101,7 @@ async def test_the_example_on_modbus_drives_its_gripper(
         assert (await jaw.sense()).position == pytest.approx([0.02])
         while abs((await jaw.sense()).position[0] - 0.05) > 1e-4:
             await jaw.move(Reference.at([0.05]))
+            await asyncio.sleep(0.01)  # a network takes no time
         await jaw.stop()
         pool.played("jaw/jaw").faults.add("overload")
         with pytest.raises(DeviceFault, match="overload"):

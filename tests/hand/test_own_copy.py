@@ -86,7 +86,6 @@ def run(
         env=environment(site, work),
         text=True,
         capture_output=True,
-        timeout=55,
         preexec_fn=None if root else like_anybody,
     )
     assert done.returncode == 0, (done.stdout, done.stderr)

@@ -166,7 +166,7 @@ def test_the_hand_ends_with_tests_that_are_killed(
     file = pytester.makepyfile(KILLED)
     (pytester.path / "config").symlink_to(repository / "config")
     words = [sys.executable, "-m", "pytest", "-q", "-s", "-p", "no:cacheprovider", str(file)]
-    done = subprocess.run(words, capture_output=True, text=True, env=dict(os.environ), timeout=50)
+    done = subprocess.run(words, capture_output=True, text=True, env=dict(os.environ))
     (folder,) = (line[4:] for line in done.stdout.splitlines() if line.startswith("RUN "))
     while list(Path(folder).glob("*.json")):  # the hand takes itself off the list when it ends
         time.sleep(0.05)

@@ -21,10 +21,9 @@ def test_a_new_package_passes_its_tests(tmp_path: Path) -> None:
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider", "tests"],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(folder), "RTEE_CONTRACT_CYCLES": "100"},
+        env={**os.environ, "PYTHONPATH": str(folder), "RTEE_CONTRACT_CYCLES": "20"},
         capture_output=True,
         text=True,
-        timeout=55,
     )
     assert run.returncode == 0, run.stdout + run.stderr
     assert "skipped" not in run.stdout
