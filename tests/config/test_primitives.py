@@ -48,12 +48,12 @@ LEAST = 0.99
 """Elsewhere, depths are at least this share of the stored ones."""
 
 
-DEAR = {name: [pytest.mark.heavy] for name in ("dagana", "heri_ii")}
-"""Measured hands with meshes, of which `robotiq_3f` is another."""
+DEAR = ("dagana", "heri_ii")
+"""Hands, measured ones with meshes, of which `robotiq_3f` is another."""
 
 
 def marks(name: str) -> list[pytest.MarkDecorator]:
-    return [pytest.mark.heavy] if name in LARGE else []
+    return [pytest.mark.heavy] if name in LARGE or name in DEAR else []
 
 
 @pytest.mark.parametrize(
@@ -98,10 +98,7 @@ def assert_as_deep(hand: Hand, found: Iterable[Primitive], rule: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "measured"),
-    [
-        pytest.param(name, measured, marks=marks(name) or DEAR.get(name, ()))
-        for name, measured in MEASURED.items()
-    ],
+    [pytest.param(name, measured, marks=marks(name)) for name, measured in MEASURED.items()],
 )
 def test_the_measured_hand_has_the_same(name: str, measured: str, shared: Path) -> None:
     stored = read_actions(load_hand(CONFIG / name), CONFIG / name / "actions")

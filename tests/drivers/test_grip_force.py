@@ -61,6 +61,7 @@ async def on_wires(name: str, **options: Any) -> AsyncIterator[Wires]:
             running.cancel_scope.cancel()
 
 
+@pytest.mark.samples("robotiq_2f_85-*", "robotiq_hand_e-*-64.0-*")
 @pytest.mark.parametrize(
     ("name", "width", "force", "register"),
     [
@@ -152,7 +153,7 @@ async def test_a_wsg_grasps_with_the_force_limit_that_was_asked_for(force: float
     assert any(frame[3:4] == b"\x25" for frame in wires.sent)
 
 
-@pytest.mark.samples("60.0-40", "150.0-100")
+@pytest.mark.samples("60.0-40")
 @pytest.mark.parametrize(("force", "percent"), [(15.0, 10), (60.0, 40), (150.0, 100)])
 async def test_an_egu_grips_with_the_percentage_that_gives_the_force(
     force: float, percent: int

@@ -299,6 +299,7 @@ class Words(Observer):
             self.seen.append(word)
 
 
+@pytest.mark.samples("2f")
 @pytest.mark.parametrize(
     ("name", "action"), [("robotiq_2f_85", "Grasp"), ("robotiq_3f", "Grasp")], ids=["2f", "3f"]
 )

@@ -29,6 +29,7 @@ class Presses(Observer):
                 self.most = max(self.most, deep * found.stiffness / one.effort)
 
 
+@pytest.mark.samples("schunk_egu-*", "wsg50-*", "onrobot_*", "linkerhand_o6-*")
 @pytest.mark.parametrize(
     ("hand", "share"),
     [

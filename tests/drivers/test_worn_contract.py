@@ -13,6 +13,7 @@ import pytest
 
 from rtee.buses.wear import IDEAL
 from rtee.testing import DeviceCase, DriverContract, cycles
+from tests.drivers.suites import heavy
 
 FAMILIES = {
     "ability_hand": "TestPositions",
@@ -41,6 +42,15 @@ of the way, since where it stops depends on them as well."""
 
 _FAULTS = frozenset({"delay", "drop"})
 
+
+_HARDLY_WORN = (
+    "test_a_cancelled_exchange_leaves_the_driver_usable",
+    "test_a_slow_device_leaves_a_fast_one_its_rate",
+    "test_a_wrong_device_is_refused",
+    "test_close_is_idempotent_in_any_state",
+    "test_no_device_is_a_clear_error",
+)
+"""Tests that move nothing, which each family passes beside its tidy device at each commit."""
 
 _KINDS = ("cia402", "dynamixel", "heri_ethercat", "robotiq_2f", "schunk_svh", "wsg50")
 """One family of each kind of bus, which are tested at each commit."""
@@ -81,7 +91,9 @@ for _family in FAMILIES:
         )
     )
     _mark = {} if _family in _KINDS else {"pytestmark": pytest.mark.heavy}
-    globals()[_name] = type(_name, (_suite,), {"case": worn(_suite.case), **_wire, **_mark})
+    globals()[_name] = heavy(
+        type(_name, (_suite,), {"case": worn(_suite.case), **_wire, **_mark}), *_HARDLY_WORN
+    )
 
 
 @pytest.mark.parametrize("family", sorted(FAMILIES))

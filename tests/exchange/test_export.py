@@ -106,6 +106,7 @@ def test_mjcf_moves_in_mujoco_as_the_hand_does(out: Path, name: str) -> None:
                 assert data.xmat[body] == pytest.approx(pose[:3, :3].ravel(), abs=LINEAR)
 
 
+@pytest.mark.samples("*-robotiq_*", "*-qb_softhand", "*-schunk_svh")
 @pytest.mark.parametrize("name", HANDS)
 @pytest.mark.parametrize("suffix", ["xml", "urdf"])
 def test_both_move_in_pinocchio_as_the_hand_does(out: Path, name: str, suffix: str) -> None:
@@ -226,6 +227,7 @@ def test_a_hands_own_folder_is_not_written_to() -> None:
         export_hand(CONFIG / "dagana", CONFIG / "dagana")
 
 
+@pytest.mark.samples("*wsg50")
 @pytest.mark.parametrize("model", ["hands/heri_II/heri_II", "more_hands/wsg50/wsg50"])
 def test_meshes_go_with_the_urdf_and_into_the_mjcf(
     shared: Path, tmp_path: Path, model: str

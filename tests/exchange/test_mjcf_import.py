@@ -726,7 +726,7 @@ SAME = (
 )
 
 
-@pytest.mark.samples("dagana", "robotiq_2f_85")
+@pytest.mark.samples("robotiq_2f_85")
 @pytest.mark.parametrize("name", SAME)
 def test_a_hand_read_back_from_its_own_mjcf_has_the_same_primitives(
     tmp_path: Path, name: str

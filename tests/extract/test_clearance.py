@@ -73,6 +73,7 @@ def test_clear_poses_of_shipped_hands_keep_what_their_evidence_says(name: str) -
                         assert gap >= 0.9 * margin, (primitive.elements, pair.links, t)
 
 
+@pytest.mark.samples("robotiq_*", "linkerhand_o6", "schunk_svh")
 @pytest.mark.parametrize("name", HANDS)
 def test_what_comes_first_keeps_a_millimetre_or_says_why_not(name: str) -> None:
     hand = load_hand(CONFIG / name)

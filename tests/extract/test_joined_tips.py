@@ -71,6 +71,7 @@ def test_dagana_pinches_when_it_closes() -> None:
     check_dagana(load_hand("dagana"))
 
 
+@pytest.mark.heavy
 def test_the_real_dagana_does_too(shared: Path) -> None:
     folder = shared / "hands" / "dagana"
     check_dagana(load_model(folder / "dagana.urdf", folder / "dagana.srdf"))

@@ -44,6 +44,7 @@ def test_parallel_grippers_are_exact_to_a_tenth_of_a_millimetre(name: str) -> No
         assert opening.at(opening.intensity_at(truth)) == pytest.approx(truth, abs=1e-4)
 
 
+@pytest.mark.samples("robotiq_2f_85", "onrobot_3fg15")
 @pytest.mark.parametrize("name", ["robotiq_2f_85", "heri_ii", "onrobot_3fg15"])
 def test_the_stored_tables_are_those_of_the_hand_as_it_is(name: str) -> None:
     known = library(name)

@@ -107,8 +107,8 @@ def moved(hand: Hand, random: np.random.Generator) -> Hand:
     return replace(hand, urdf=replace(hand.urdf, joints=joints))
 
 
-@pytest.mark.samples("dagana")
-@pytest.mark.parametrize("name", ["robotiq_3f", "qb_softhand", "dagana"])
+@pytest.mark.samples("robotiq_2f_85")
+@pytest.mark.parametrize("name", ["robotiq_3f", "qb_softhand", "dagana", "robotiq_2f_85"])
 def test_a_nanometre_does_not_decide_what_is_found(name: str) -> None:
     hand = load_hand(ROOT / "config" / name)
     before = {(p.name, p.elements): p for p in extract(hand).primitives if p.evidence}

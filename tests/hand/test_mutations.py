@@ -119,6 +119,7 @@ def load_or_refuse(load: Callable[[], T]) -> T | None:
     return None
 
 
+@pytest.mark.samples("robotiq_3f", "qbhand", "dagana", "two_finger_mimic")
 @pytest.mark.parametrize("name", NAMES)
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())

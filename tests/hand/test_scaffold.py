@@ -32,6 +32,7 @@ def facts(hand: Hand) -> object:
     )
 
 
+@pytest.mark.samples("robotiq_3f", "onrobot_3fg15")
 @pytest.mark.parametrize("name", ["schunk", "robotiq_3f", "heri_II", "onrobot_3fg15"])
 def test_new_hand_from_a_urdf_alone(shared: Path, tmp_path: Path, name: str) -> None:
     urdf = shared / "hands" / name / f"{name}.urdf"

@@ -11,6 +11,7 @@ from rtee.drivers.ability_hand.codec import Header, angle_counts
 from rtee.drivers.ability_hand.emulator import AbilityHandEmulator
 from rtee.drivers.axis import VirtualObject
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
+from tests.drivers.suites import same_wire
 
 ACTUATORS = (
     actuator("index_q1", 0.0, 1.74, effort=6.0),
@@ -61,6 +62,7 @@ class TestVelocities(DriverContract):
     case: ClassVar[DeviceCase] = replace(CASE, options={**CASE.options, "mode": "velocity"})
 
 
+@same_wire
 class TestCurrents(DriverContract):
     case: ClassVar[DeviceCase] = replace(
         CASE, options={**CASE.options, "mode": "current", "baudrate": 921_600, "reply": 3}

@@ -6,12 +6,14 @@ from typing import Any
 
 from rtee.drivers.allegro.codec import Command
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
+from tests.drivers.suites import few_faults
 
 
 def torques(emulator: Any) -> int:
     return int(emulator.frames.get(Command.SYSTEM_ON, 0))
 
 
+@few_faults
 class TestAllegro(DriverContract):
     case = DeviceCase(
         driver="allegro",

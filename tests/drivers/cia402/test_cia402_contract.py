@@ -6,6 +6,7 @@ from typing import Any
 
 from rtee.drivers.cia402.codec import State
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
+from tests.drivers.suites import few_faults
 
 NAMES = ("left",)
 
@@ -43,5 +44,6 @@ def case(mode: str) -> DeviceCase:
     )
 
 
+@few_faults
 class TestProfilePosition(DriverContract):
     case = case("profile_position")

@@ -106,7 +106,7 @@ def refuted(report: ContactReport) -> set[Topic]:
     return {one.topic for one in report.findings if one.verdict is Conclusion.REFUTED}
 
 
-@pytest.mark.samples(*(f"{family}-*" for family in QUICK))
+@pytest.mark.samples(*(f"{family}-worn" for family in QUICK), "robotiq_2f-ideal")
 @pytest.mark.parametrize("worn", [False, True], ids=["ideal", "worn"])
 @pytest.mark.parametrize("family", sorted(FAMILIES))
 async def test_nothing_is_refuted_of_a_device_as_it_is_assumed(family: str, worn: bool) -> None:
@@ -121,7 +121,7 @@ async def test_nothing_is_refuted_of_a_device_as_it_is_assumed(family: str, worn
     assert len(person.asked) == len(report.answers)
 
 
-@pytest.mark.samples("*-schunk_egu-ideal", "*-robotiq_2f-worn", "offset-wsg50-worn")
+@pytest.mark.samples("*-robotiq_2f-worn", "offset-wsg50-worn", "direction-schunk_egu-ideal")
 @pytest.mark.parametrize("worn", [False, True], ids=["ideal", "worn"])
 @pytest.mark.parametrize("family", ["schunk_egu", "robotiq_2f", "wsg50"])
 @pytest.mark.parametrize(

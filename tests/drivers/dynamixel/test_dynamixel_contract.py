@@ -7,6 +7,7 @@ from typing import Any
 from rtee.drivers.dynamixel import table
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
 from tests.drivers.objects import obstruct
+from tests.drivers.suites import few_faults
 
 NAMES = ("j0", "j1", "j2")
 
@@ -31,6 +32,7 @@ def limits(emulator: Any) -> list[float]:
     return [servo.get(table.GOAL_CURRENT) * unit for servo in emulator.servos.values()]
 
 
+@few_faults
 class TestDynamixel(DriverContract):
     case = DeviceCase(
         driver="dynamixel",

@@ -11,6 +11,7 @@ from rtee.drivers.feetech import table
 from rtee.drivers.feetech.table import FULL
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
 from tests.drivers.objects import obstruct
+from tests.drivers.suites import few_faults, same_wire
 
 NAMES = ("j0", "j1", "j2")
 TORQUE = 2.0  # of the servos at their stall [N·m]
@@ -87,6 +88,7 @@ CASE = DeviceCase(
 )
 
 
+@few_faults
 class TestSts(DriverContract):
     case: ClassVar[DeviceCase] = CASE
 
@@ -108,6 +110,7 @@ class TestSmsOneByOne(DriverContract):
     )
 
 
+@same_wire
 class TestScsInPairs(DriverContract):
     case: ClassVar[DeviceCase] = replace(
         CASE,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, ClassVar
 
+import pytest
+
 from rtee.drivers.inspire_rh56.codec import Register, table
 from rtee.drivers.inspire_rh56.options import FORCES
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
@@ -58,6 +60,7 @@ class TestModbusRtu(DriverContract):
     case: ClassVar[DeviceCase] = replace(CASE, options={**CASE.options, "protocol": "modbus"})
 
 
+@pytest.mark.heavy
 class TestModbusTcp(DriverContract):
     case: ClassVar[DeviceCase] = replace(
         CASE,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, ClassVar
 
+import pytest
+
 from rtee.drivers.axis import VirtualObject
 from rtee.drivers.linkerhand.codec import L10, MOST, O6, Model, Table
 from rtee.drivers.linkerhand.emulator import LinkerHandEmulator
@@ -54,6 +56,7 @@ class TestO6(DriverContract):
     case: ClassVar[DeviceCase] = CASE
 
 
+@pytest.mark.heavy
 class TestL10(DriverContract):
     case: ClassVar[DeviceCase] = replace(
         CASE,
@@ -63,6 +66,7 @@ class TestL10(DriverContract):
     )
 
 
+@pytest.mark.heavy
 class TestO6OnCan(DriverContract):
     case: ClassVar[DeviceCase] = replace(CASE, options=CAN, wire_faults=CAN_FAULTS)
 

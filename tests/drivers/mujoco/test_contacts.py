@@ -122,15 +122,9 @@ def depths(simulation: Simulation) -> list[tuple[float, float]]:
     return found
 
 
-KINDS = (
-    "robotiq_2f_85-*",
-    "robotiq_3f-cylinder*",
-    "dagana-box*",
-    "qb_softhand-box*",
-    "allegro-sphere*",
-)
+KINDS = ("robotiq_2f_85-*", "robotiq_3f-cylinder*", "dagana-box*")
 """Hands whose contacts differ in kind: parallel jaws on a linkage, three fingers that adapt, a claw
-and a jaw of the body, tendons, motors at all joints."""
+and a jaw of the body."""
 
 
 @pytest.mark.samples(*KINDS)

@@ -39,6 +39,7 @@ def run(simulation: Simulation, goal: np.ndarray, seconds: float) -> None:
         simulation.advance()
 
 
+@pytest.mark.samples("robotiq_3f", "heri_ii", "qb_softhand", "schunk_svh")
 @pytest.mark.parametrize("name", hand_names())
 def test_mass_and_its_distribution_are_those_of_the_urdf(name: str) -> None:
     hand = load_hand(name)
@@ -112,6 +113,7 @@ def test_a_large_effort_limit_is_no_missing_one(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.samples("robotiq_2f_85-*")
 @pytest.mark.parametrize(("name", "sheet"), [("robotiq_2f_85", 235.0), ("robotiq_2f_140", 125.0)])
 def test_grippers_grip_as_strongly_as_their_sheets_say(name: str, sheet: float) -> None:
     # A cube lies at the fingertips, where the sheets give the force; a longer object also lies
@@ -201,6 +203,7 @@ ADAPTIVE = {
 }
 
 
+@pytest.mark.samples("robotiq_3f", "heri_ii", "robotiq_2f_85")
 @pytest.mark.parametrize("name", ADAPTIVE)
 def test_a_finger_that_is_stopped_lets_the_others_go_on(name: str) -> None:
     shape, offset = ADAPTIVE[name]

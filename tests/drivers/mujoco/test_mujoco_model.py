@@ -44,6 +44,7 @@ def joint(name: str, child: str, more: str = LIMIT, at: str = "0 0 0") -> str:
     )
 
 
+@pytest.mark.samples("dagana")
 @pytest.mark.parametrize("name", ["dagana", "heri_ii", "qb_softhand"])
 def test_a_kept_model_with_another_friction_is_the_one_built_anew(name: str) -> None:
     hand = load_hand(name)
@@ -189,6 +190,7 @@ def test_pairs_disabled_in_the_srdf_are_never_checked() -> None:
     assert frozenset((LINK + first, LINK + second)) in excluded
 
 
+@pytest.mark.samples("robotiq_3f", "heri_ii", "qb_softhand", "schunk_svh")
 @pytest.mark.parametrize("name", hand_names())
 def test_a_carried_hand_reaches_down(name: str) -> None:
     hand = load_hand(name)

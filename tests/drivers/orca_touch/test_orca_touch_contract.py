@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import ClassVar
 
 from rtee.testing import DeviceCase, DriverContract, cycles
+from tests.drivers.suites import few_faults
 
 
+@few_faults
 class TestOrcaTouch(DriverContract):
     case: ClassVar[DeviceCase] = DeviceCase(
         driver="orca_touch",

@@ -17,6 +17,7 @@ from rtee.errors import BusError, ConfigError, DeviceFault, NotConnected
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
 from rtee.types import JointKind, Reference
 from tests.drivers.objects import close_robotiq
+from tests.drivers.suites import same_wire
 
 SCALE = MODELS["2f_85"].scale(0.0, 0.82)
 
@@ -65,6 +66,7 @@ HAND_E = replace(
 )
 
 
+@same_wire
 class TestHandE(DriverContract):
     case = HAND_E
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
 from tests.drivers.objects import obstruct
+from tests.drivers.suites import same_wire
 
 
 class TestXBot2(DriverContract):
@@ -22,6 +23,7 @@ class TestXBot2(DriverContract):
     )
 
 
+@same_wire
 class TestXBot2WithLimits(DriverContract):
     case = replace(
         TestXBot2.case,
