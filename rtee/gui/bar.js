@@ -97,13 +97,13 @@
     place instanceof HTMLTextAreaElement || place?.isContentEditable ||
     (place instanceof HTMLInputElement && TYPED.has(place.getAttribute("type") ?? "") &&
       !place.readOnly && place.getAttribute("aria-haspopup") !== "listbox");
-  let sent = null; // the field whose text has just been sent; its keys are commands again
+  let left = null; // the field that Enter or Escape has just left; its keys are commands again
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
-    const text = typing(event.target) && event.target !== sent;
-    if (text && event.key === "Enter") {
-      const field = sent = event.target;
-      return setTimeout(() => { field.blur(); if (sent === field) sent = null; }); // once viser has sent it
+    const text = typing(event.target) && event.target !== left;
+    if (text && ["Enter", "Escape"].includes(event.key)) {
+      const field = left = event.target;
+      return setTimeout(() => { field.blur(); if (left === field) left = null; }); // once viser has sent it
     }
     if (text || !(event.key === "Escape" || event.key.toLowerCase() === "s")) return;
     stop();

@@ -1,10 +1,12 @@
 "use strict";
 // Number fields. viser sends every keystroke that makes a number ("9" of "90", which a hand would go to), ignores all
 // others, and moves a number into its range only later. Here, what is typed counts once it is entered, by Enter or by
-// leaving the field, and only if it is a number in the field's range; otherwise the field shows the value in force
-// again, a sentence says why, and a click that left the field presses no button.
+// leaving the field, and only if it is a number in the field's range. In a field that acts on the hand at once, only
+// Enter counts: focus leaves a field on the way to STOP, too. What does not count brings back the value in force and a
+// sentence that says why, and a click that left the field presses no button, except those that end something.
 (() => {
   const NUMBER = /^[+-]?(\d+\.?\d*|\.\d+)$/, DIGITS = 6; // most decimals of a step
+  const ENDING = new Set(["Cancel", "Finish", "Back to live"]); // buttons that need no number
   const value = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value");
   let typed = null; // the field in which somebody types
   let refused = null; // the row of the field that this click has left and whose text was refused, and why
@@ -27,6 +29,10 @@
     while (fiber && !("min" in (fiber.memoizedProps ?? {}))) fiber = fiber.return;
     const { min = -Infinity, max = Infinity } = fiber?.memoizedProps ?? {};
     return { min, max };
+  };
+  const actsAtOnce = (label) => {
+    const named = document.querySelector("[data-rtee-at-once]")?.dataset.rteeAtOnce ?? "[]";
+    return JSON.parse(named).includes(label);
   };
   const say = ({ row, why }) => {
     sentence.textContent = why;
@@ -56,13 +62,16 @@
     field.value = field.defaultValue; // React keeps the value in force there
     return field;
   };
-  const enter = () => {
+  const enter = (byKey = false) => {
     const text = typed.value.trim(), field = end(), row = rowOf(field);
-    const { min, max } = rangeOf(field, row);
+    const { min, max } = rangeOf(field, row), label = row.querySelector("label").textContent;
+    let why = "";
     if (!NUMBER.test(text) || Number(text) < min || Number(text) > max) {
       const range = min > -Infinity && max < Infinity ? `${min} to ${max}` : "a number";
-      refused = { row, why: `${row.querySelector("label").textContent} should be ${range}, not ` +
-        `${text || "empty"}; it is ${field.value} again` };
+      why = `should be ${range}, not ${text || "empty"}`;
+    } else if (!byKey && actsAtOnce(label)) why = "acts on the hand only by Enter";
+    if (why) {
+      refused = { row, why: `${label} ${why}; it is ${field.value} again` };
       if (!pressed) say(refused);
       return;
     }
@@ -72,7 +81,10 @@
     sending = false;
   };
 
-  addEventListener("beforeinput", (event) => isNumberField(event.target) && begin(event.target), true);
+  addEventListener("beforeinput", (event) => {
+    const changes = event.inputType !== "insertLineBreak"; // of Enter, which types nothing
+    if (changes && isNumberField(event.target)) begin(event.target);
+  }, true);
   for (const kind of ["input", "change"])
     addEventListener(kind, (event) => {
       if (sending || !isNumberField(event.target)) return;
@@ -86,14 +98,12 @@
     refused = null;
     if (!typed || event.target !== typed || event.isComposing) return;
     if (event.key === "Escape") end();
-    else if (["Enter", "ArrowUp", "ArrowDown"].includes(event.key)) enter();
+    else if (["Enter", "ArrowUp", "ArrowDown"].includes(event.key)) enter(true);
     else event.stopPropagation(); // see `begin`
   }, true);
   addEventListener("pointerdown", (event) => {
     refused = null;
     pressed = true;
-    // A jogged hand would set out for it, and stop only when the button is released.
-    if (typed && event.target.closest?.("#rtee-stop")) end();
     // A slider, or an arrow, of the same value.
     if (typed && event.target !== typed && rowOf(typed).contains(event.target)) enter();
   }, true);
@@ -105,8 +115,9 @@
   addEventListener("click", (event) => {
     if (typed && event.target !== typed) enter(); // where a click leaves the focus in the field
     const button = event.target.closest?.("button");
-    // Not the buttons outside the tab, which end a motion or open the hand.
-    if (refused && button && refused.row.closest("[role=tabpanel], .mantine-ScrollArea-content")?.contains(button)) {
+    const tab = refused?.row.closest("[role=tabpanel], .mantine-ScrollArea-content");
+    // Not the buttons outside the tab, which end a motion or open the hand, too.
+    if (button && tab?.contains(button) && !ENDING.has(button.textContent)) {
       event.preventDefault();
       event.stopImmediatePropagation();
       refused.why += `, and ${button.textContent || "the button"} was not pressed`;

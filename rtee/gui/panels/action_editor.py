@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -106,6 +107,9 @@ class MakingPanel:
             self._edit = EditPanel(bridge, remote)
         with gui.add_folder("Tune", expand_by_default=False):
             self._tuning = TuningPanel(bridge, remote)
+        # rtee/gui/fields.js takes a number in these fields only by Enter.
+        at_once = json.dumps((*self.jog.labels, self._tuning.label))
+        gui.add_html(f'<i data-rtee-at-once="{escape(at_once)}"></i>')
         bridge.need(Role.MAINTAINER, self._name, self._store, save)
         save.on_click(lambda _: bridge.call(self._save))
 
@@ -177,6 +181,11 @@ class TuningPanel:
         self._which.on_update(lambda _: self._recall())
         self._value.on_update(lambda _: self._type())
         self._set.on_click(lambda _: bridge.call(self._change))
+
+    @property
+    def label(self) -> str:
+        """Label of the field that sets the grip effort at once."""
+        return str(self._holding.label)
 
     def _hold(self, percent: float) -> None:
         if self._bridge.refused:
@@ -291,7 +300,8 @@ class JogPanel:
                     _STEPS[unit],
                     min(max(actuator.rest, lower), upper),
                     disabled=True,
-                    hint=f"Position of {actuator.name} [{unit}]; moves it while Jog is ticked",
+                    hint=f"Position of {actuator.name} [{unit}]; moves it while Jog is ticked, "
+                    "a typed number once you press Enter",
                 )
                 slider.on_update(bridge.entered(partial(self._moved, index)))
                 self._sliders.append(slider)
@@ -306,6 +316,11 @@ class JogPanel:
         bridge.need(Role.OPERATOR, self._hold, self._speed, self._follow)
         self._hold.on_update(lambda _: bridge.call(self._acquire_or_release))
         self._follow.on_update(lambda _: bridge.call(self._stream))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the sliders, whose numbers move the hand at once."""
+        return tuple(slider.label for slider in self._sliders)
 
     async def _acquire_or_release(self) -> None:
         try:

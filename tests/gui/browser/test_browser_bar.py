@@ -41,17 +41,21 @@ _DEAF = """
     const text = each.matches("input, textarea") && /^text/.test(each.type) && !each.readOnly
       && each.ariaHasPopup !== "listbox";
     each.focus();
-    for (const key of ["Escape", "s"]) {
+    const due = text ? [["s", 0], ["Escape", 0], ["Escape", 1]] : [["Escape", 1], ["s", 1]];
+    for (const [key, stops] of due) {
       const before = window.stops;
       each.dispatchEvent(new KeyboardEvent("keydown", {key, bubbles: true, cancelable: true}));
-      if (window.stops - before !== (text ? 0 : 1))
+      if (window.stops - before !== stops)
         deaf.push(`${key} in ${each.outerHTML.slice(0, 200)}`);
     }
   }
   return deaf;
 }
 """
-"""Presses both keys in each control that is seen; returns those that are text or not at fault."""
+"""Presses both keys in each control that is seen, and Escape again in text, which it has left.
+
+Returns those in which a key stops that should not, or does not stop that should.
+"""
 
 
 _AT_ONCE = """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 import pytest
 
@@ -85,6 +86,7 @@ def test_a_jogged_hand_goes_only_to_what_was_entered(window: Window, other: Bloc
     field = window.field("finger_joint [rad]")
     enter(field, "0.6")
     window.until(lambda: abs(other.state().position[0] - 0.6) <= 0.005)
+    assert not window.page.locator("#rtee-refused").count(), "refused, though it was entered"
     before = _sent(window)
     field.select_text()
     field.press_sequentially("0.4")
@@ -99,7 +101,32 @@ def test_a_jogged_hand_goes_only_to_what_was_entered(window: Window, other: Bloc
     window.status("control: free")
 
 
-def test_stop_sends_nothing_that_was_only_typed(window: Window, other: BlockingHand) -> None:
+def _by_keys(*keys: str, at: str = "") -> Callable[[Window], None]:
+    """Return a press of keys, the first in the field; the others at a button, if one is named."""
+
+    def press(window: Window) -> None:
+        window.page.keyboard.press(keys[0])
+        if at:
+            window.button(at).focus()
+        for key in keys[1:]:
+            window.page.keyboard.press(key)
+
+    return press
+
+
+STOPS: dict[str, Callable[[Window], None]] = {
+    "the mouse": lambda window: window.button("STOP").click(),
+    "Enter on STOP": _by_keys("Tab", "Enter", at="STOP"),
+    "Space on STOP": _by_keys("Shift+Tab", "Space", at="STOP"),
+    "a key after Tab": _by_keys("Tab", "s"),
+    "a key after Escape": _by_keys("Escape", "Escape"),
+}
+"""Ways to stop a hand, out of a field in which somebody types."""
+
+
+def test_what_ends_a_motion_sends_nothing_that_was_only_typed(
+    window: Window, other: BlockingHand
+) -> None:
     other.open()
     window.tab("Teach")
     hold = window.field("Jog (holds the hand)")
@@ -108,15 +135,37 @@ def test_stop_sends_nothing_that_was_only_typed(window: Window, other: BlockingH
     field = window.field("finger_joint [rad]")
     enter(field, "0.2")
     window.until(lambda: abs(other.state().position[0] - 0.2) <= 0.005)
-    before, stops = _sent(window), window.page.evaluate("window.stops")
-    field.select_text()
-    field.press_sequentially("0.7")
-    window.page.locator("#rtee-stop").click()
-    assert window.page.evaluate("window.stops") == stops + 1
-    assert _sent(window) == before
-    assert other.state().position[0] == pytest.approx(0.2, abs=0.01)
+    before = _sent(window)
+    for how, stop in STOPS.items():
+        stops = window.page.evaluate("window.stops")
+        field.select_text()
+        field.press_sequentially("0.7")
+        stop(window)
+        assert window.page.evaluate("window.stops") == stops + 1, how
+        assert _sent(window) == before, how
+        assert float(field.input_value()) == pytest.approx(0.2, abs=0.01), how
+    field.fill("0.7")
+    window.button("Cancel").click()
+    window.says(
+        re.compile(r"^finger_joint \[rad\] acts on the hand only by Enter; it is 0\.\d+ again$")
+    )
+    field.fill("0.7")
     hold.click()
     window.status("control: free")
+    assert _sent(window) == [*before, "Cancel", "false"]
+    assert other.state().position[0] == pytest.approx(0.2, abs=0.01)
+
+
+def test_the_grip_effort_changes_only_by_enter(window: Window, other: BlockingHand) -> None:
+    window.tab("Teach")
+    field = window.field("Holding effort [%]", window.folder("Tune", unfold=True))
+    before = _sent(window)
+    field.fill("90")
+    field.press("Tab")
+    window.says(
+        re.compile(r"^Holding effort \[%\] acts on the hand only by Enter; it is \d+ again$")
+    )
+    assert _sent(window) == before
 
 
 def test_a_hand_that_moves_meanwhile_does_not_change_what_is_typed(
@@ -146,3 +195,11 @@ def test_a_wrong_field_keeps_nobody_from_opening_the_hand(
     window.button("Open hand").click()
     window.until(lambda: other.state().position[0] <= 0.02)
     window.says(re.compile("^Width .* again$"), panel)
+
+
+def test_a_wrong_field_keeps_nobody_from_ending_a_trial(window: Window) -> None:
+    window.tab("Simulate")
+    window.field("Mass [kg]").fill("abc")
+    window.button("Cancel").last.click()
+    window.told("this window runs no trial or planning")
+    window.says("Mass [kg] should be 0.001 to 100, not abc; it is 0.1 again")

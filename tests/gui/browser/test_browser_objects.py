@@ -98,6 +98,7 @@ def test_a_recording_shows_the_object_where_it_was(squeezer: Window, place: Path
     toggle(window, "Object")
     window.field("Object").click()
     window.tab("Recordings")
+    window.field("Time [s]", panel).fill("never")  # which keeps nobody in the past
     window.button("Back to live", panel).click()
     line.wait_for(state="detached")
     window.tab("View")
