@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -196,15 +197,29 @@ def only_window(context: BrowserContext, links: Links) -> Window:
     return window
 
 
+_FAILED = pytest.StashKey[bool]()
+"""Whether the test has failed, once it has run."""
+
+
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> None:
+    item.stash[_FAILED] = call.excinfo is not None
+
+
 @pytest.fixture
-def any_window(only_window: Window) -> Iterator[Window]:
-    """The window, showing whichever hand; nothing goes wrong in the page."""
+def any_window(only_window: Window, request: pytest.FixtureRequest) -> Iterator[Window]:
+    """The window, showing whichever hand; nothing goes wrong in the page.
+
+    A test leaves the values in the page as it found them; one that fails could not, and the next
+    one has a new page.
+    """
     wrong: list[str] = []
     note = lambda error: wrong.append(str(error))  # noqa: E731
     only_window.page.on("pageerror", note)
     only_window.forget()
     yield only_window
     only_window.page.remove_listener("pageerror", note)
+    if request.node.stash[_FAILED]:
+        only_window.open(GRIPPER)
     assert wrong == []
 
 
@@ -243,8 +258,10 @@ def lasting(other: BlockingHand) -> Iterator[str]:
 
 @pytest.fixture
 def other(place: Path, hands: Hands, monkeypatch: pytest.MonkeyPatch) -> Iterator[BlockingHand]:
-    """Another client of the gripper."""
+    """Another client of the gripper, which nobody moves any more."""
     assert hands[GRIPPER].process.poll() is None
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(place / "run"))
     with rtee.connect_blocking(GRIPPER, client="other") as hand:
+        while hand.status().holder:  # what the test before has begun goes on
+            time.sleep(0.02)
         yield hand

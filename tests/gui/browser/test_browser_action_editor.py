@@ -82,6 +82,9 @@ def test_the_sliders_follow_the_hand_while_nobody_jogs(window: Window, other: Bl
 def test_a_posture_is_saved_and_stored(window: Window, other: BlockingHand, place: Path) -> None:
     other.do("PinchTight", "finger_1", "finger_2", intensity=0.5)
     there = other.state().position[0]
+    # The window shows, and saves, what it has last heard of the hand.
+    shown = f"field => Math.abs(field.value - {there}) < 0.01"
+    window.wait(window.field("finger_joint [rad]"), shown)
     here = window.folder("Save this posture", unfold=True)
     window.type("Name", "half", here)
     window.button("Save pose", here).click()

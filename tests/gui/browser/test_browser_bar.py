@@ -155,6 +155,8 @@ def test_stop_is_there_and_both_keys_work_in_every_state(
             page.get_by_placeholder("Search commands...").wait_for(state="hidden")
     page.evaluate(_FOLD, "minimize-all")
     page.locator(".tabler-icon-arrow-back").click()
+    window.tab("View")
+    window.field("Reference").click()  # as it was
     window.tab("Actions")
     window.type("Intensity [%]", "100")  # which other tests run with
     for press in (window.button("STOP").click, lambda: page.keyboard.press("Escape")):

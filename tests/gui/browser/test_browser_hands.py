@@ -127,6 +127,7 @@ def test_gains_and_the_grip_effort_are_tuned(
     window.tab("Teach")
     panel = window.folder("Tune", unfold=True)
     with rtee.connect_blocking(SQUEEZER) as hand:
+        effort = hand.status().grip_effort
         (device,) = hand.status().devices
         present = dict(zip(device.gains, device.gain_values, strict=True))["kd.finger_joint"]
         window.choose("Gain", "mujoco: kd.finger_joint", panel)
@@ -138,6 +139,8 @@ def test_gains_and_the_grip_effort_are_tuned(
         window.told("kd.finger_joint is 0.5")
         window.type("Holding effort [%]", "70", panel)
         window.until(lambda: hand.status().grip_effort == 0.7)
+        hand.set_gains({"grip_effort": effort})
+        hand.set_gains({"kd.finger_joint": present}, device.name)
 
 
 @pytest.mark.heavy
