@@ -320,7 +320,8 @@ class ManualClock:
 
     async def settle(self) -> None:
         """Let the other tasks run."""
-        loop, rested = on_simulated_time(), False
+        loop = on_simulated_time()
+        rested = loop is not None and loop.idle()
         for _ in range(self.turns):
             # Several turns: a task that was woken may itself wake another one.
             await asyncio.sleep(0)

@@ -11,9 +11,11 @@ from collections.abc import Callable
 
 import pytest
 
+from rtee import monotonic
 from rtee.buses import timerfd
 from rtee.errors import ConfigError
 from rtee.loop.clock import Clock, ManualClock, Tick
+from rtee.testing import simulated_time
 
 pytestmark = pytest.mark.anyio
 
@@ -188,3 +190,31 @@ async def test_a_manual_clock_drives_as_far_as_it_goes() -> None:
     ticks: list[Tick] = []
     await ManualClock(100, ticks=5).drive(ticks.append)
     assert [tick.number for tick in ticks] == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("anyio_backend", [simulated_time()], ids=["simulated"])
+async def test_a_manual_clock_waits_no_longer_than_others_run() -> None:
+    """Every turn of the event loop costs time, at every tick."""
+    clock, ran = ManualClock(1000), 0
+
+    async def work() -> None:
+        nonlocal ran
+        for _ in range(5):
+            await asyncio.sleep(0)
+            ran += 1
+
+    async def settled() -> float:
+        before = monotonic.now()  # each turn is a moment of simulated time
+        await clock.settle()
+        return monotonic.now() - before
+
+    await settled()
+    turn = await settled()
+    assert turn > 0.0
+    before = monotonic.now()
+    await asyncio.sleep(0)
+    assert turn == pytest.approx(monotonic.now() - before), "one turn in which nobody runs"
+    task = asyncio.create_task(work())
+    assert await settled() > 5.0 * turn
+    assert ran == 5
+    await task
