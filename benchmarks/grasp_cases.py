@@ -255,14 +255,18 @@ class Contacts:
         model = simulation.model
         self._model, self._data = model, simulation.data
         thing = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, OBJECT)
-        self._thing = thing
         shared = [link for finger in hand.fingers for link in finger.links]
-        self._finger_of = {
+        finger_of = {
             model.body(LINK + link).id: number
             for number, finger in enumerate(hand.fingers)
             for link in finger.links
             if shared.count(link) == 1 or link == finger.tip
         }
+        # By geom: asking MuJoCo at each tick takes longer than the contacts do.
+        bodies = model.geom_bodyid.tolist()
+        self._feels = [finger_of.get(body) for body in bodies]
+        self._things = [body == thing for body in bodies]
+        self._wrench = np.zeros(6)
         self._fingers = len(hand.fingers)
         self._sides, self._around = [list(side) for side in sides], around
         tips = [[hand.fingers[f].tip for f in side] for side in self._sides]
@@ -275,21 +279,22 @@ class Contacts:
 
     def seen(self) -> Seen:
         """Return the forces at this moment."""
-        normal, own, force = np.zeros((self._fingers, 3)), 0.0, np.zeros(6)
-        data, model = self._data, self._model
-        for number in range(data.ncon):
-            contact = data.contact[number]
-            if contact.efc_address < 0:
+        data = self._data
+        if not data.ncon:
+            return Seen((0.0, 0.0), 0.0, 0.0, 0.0)
+        normal, own = np.zeros((self._fingers, 3)), 0.0
+        contacts = data.contact
+        pairs, places = contacts.geom.tolist(), contacts.efc_address.tolist()
+        for number, ((one, other), place) in enumerate(zip(pairs, places, strict=True)):
+            first, second = self._feels[one], self._feels[other]
+            if place < 0 or first == second:
                 continue
-            one, other = (int(model.geom_bodyid[geom]) for geom in contact.geom)
-            first, second = self._finger_of.get(one), self._finger_of.get(other)
-            mujoco.mj_contactForce(model, data, number, force)
-            if self._thing in (one, other):
-                finger, towards = (first, 1.0) if other == self._thing else (second, -1.0)
+            if self._things[one] or self._things[other]:
+                finger, towards = (first, 1.0) if self._things[other] else (second, -1.0)
                 if finger is not None:
-                    normal[finger] += towards * force[0] * contact.frame[:3]
-            elif first is not None and second is not None and first != second:
-                own = max(own, float(force[0]))
+                    normal[finger] += towards * self._force(number) * contacts.frame[number, :3]
+            elif first is not None and second is not None:
+                own = max(own, self._force(number))
         each = np.linalg.norm(normal, axis=1)
         one_side, other_side = (float(each[side].sum()) for side in self._sides)
         both = one_side + other_side
@@ -297,6 +302,11 @@ class Contacts:
             return Seen((one_side, other_side), both, both, own)
         # While an object moves, one side may press more.
         return Seen((one_side, other_side), 0.5 * both, max(one_side, other_side), own)
+
+    def _force(self, contact: int) -> float:
+        """Return the normal force of a contact [N]."""
+        mujoco.mj_contactForce(self._model, self._data, contact, self._wrench)
+        return float(self._wrench[0])
 
     def gap(self) -> float:
         """Return the least distance of the tips of the two sides [m], by MuJoCo's own measure."""
