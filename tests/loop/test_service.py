@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
@@ -16,6 +16,7 @@ from typing import Self
 import numpy as np
 import pytest
 from patient import patient_gripper
+from rtee_process import RTEE
 
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.hand.model import Hand
@@ -189,8 +190,14 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+ALONE = (sys.executable, "-m", "rtee")
+"""A process of its own, for what is stopped, or ended by a signal that `RTEE` does not hand on."""
+
+
 @contextmanager
-def started(folder: Path, manager: Manager, *words: str) -> Iterator[subprocess.Popen[str]]:
+def started(
+    folder: Path, manager: Manager, *words: str, rtee: Sequence[str] = RTEE
+) -> Iterator[subprocess.Popen[str]]:
     """Run a command of rtee as a service whose watchdog waits 2 s."""
     environment = os.environ | {
         "RTEE_CONFIG_PATH": str(folder),
@@ -200,7 +207,7 @@ def started(folder: Path, manager: Manager, *words: str) -> Iterator[subprocess.
         "WATCHDOG_USEC": "2000000",
     }
     process = subprocess.Popen(
-        [sys.executable, "-m", "rtee", *words],
+        [*rtee, *words],
         env=environment,
         cwd=folder,
         stdin=subprocess.DEVNULL,
@@ -216,7 +223,7 @@ def started(folder: Path, manager: Manager, *words: str) -> Iterator[subprocess.
 
 
 def test_a_stopped_process_feeds_nothing(folder: Path, notified: Manager) -> None:
-    with started(folder, notified, "run", "jaw", "--no-log") as process:
+    with started(folder, notified, "run", "jaw", "--no-log", rtee=ALONE) as process:
         notified.wait_for("READY=1")
         os.kill(process.pid, signal.SIGSTOP)
         os.waitpid(process.pid, os.WUNTRACED)
@@ -230,8 +237,8 @@ def test_a_stopped_process_feeds_nothing(folder: Path, notified: Manager) -> Non
 
 
 def test_a_driver_that_blocks_the_loop_stops_the_feeding(folder: Path, notified: Manager) -> None:
-    driver = f"{__name__}:Blocking"
-    with started(folder, notified, "run", "jaw", "--no-log", "--driver", driver) as process:
+    command = ("run", "jaw", "--no-log", "--driver", f"{__name__}:Blocking")
+    with started(folder, notified, *command, rtee=ALONE) as process:
         notified.wait_for("READY=1")
         for blocked_for_good in (False, True):
             (folder / "block").touch()
@@ -252,9 +259,7 @@ def test_a_driver_that_blocks_the_loop_stops_the_feeding(folder: Path, notified:
 
 def executed(folder: Path, *command: str) -> str:
     """Return why a command to the running hand failed; empty if it did not."""
-    done = subprocess.run(
-        [sys.executable, "-m", "rtee", *command], cwd=folder, capture_output=True, text=True
-    )
+    done = subprocess.run([*RTEE, *command], cwd=folder, capture_output=True, text=True)
     return f"{done.stdout}{done.stderr}" if done.returncode else ""
 
 
@@ -267,7 +272,7 @@ def test_the_next_start_takes_over_without_a_jump(
     with started(folder, notified, "emulate", "robotiq_2f", "--link", "port") as emulator:
         assert emulator.stdout is not None
         assert "port" in emulator.stdout.readline()
-        with started(folder, notified, *run, "--home") as process:
+        with started(folder, notified, *run, "--home", rtee=ALONE) as process:
             notified.wait_for("STATUS=robotiq_2f_85: gripper active")
             assert not executed(folder, "do", "PinchTight", "--intensity=0.5")
             os.kill(process.pid, signal.SIGSTOP)
