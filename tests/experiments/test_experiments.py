@@ -117,7 +117,7 @@ def test_the_variants_have_the_stated_primitives(variant: int, tmp_path: Path) -
     assert found == variants.EXPECTED[variant]
 
 
-@pytest.mark.samples("robotiq_2f_85")
+@pytest.mark.heavy
 @pytest.mark.parametrize("gripper", same_object.GRIPPERS, ids=lambda gripper: gripper.name)
 def test_the_same_object_is_picked_and_placed(gripper: same_object.Gripper, tmp_path: Path) -> None:
     outcome = Outcome("placed")

@@ -31,8 +31,6 @@ from rtee.types import Goal, Named
 TOLERANCE = 0.02
 RATE = 100.0
 HANDS = hand_names()
-AT_ONCE = 4
-"""Hands that move at the same time: more, and two processors keep none of their deadlines."""
 
 
 def add_goal(hand: Hand, library: ActionLibrary, share: float = 0.2) -> None:
@@ -59,34 +57,10 @@ def hands() -> dict[str, PreparedHand]:
     return found
 
 
-async def wired_end(prepared: PreparedHand, ends: dict[str, np.ndarray]) -> None:
+async def wired_end(prepared: PreparedHand) -> np.ndarray:
     async with on_the_wire(prepared, None) as hand:
         result = await hand.do(Goal(Named("a_little"), goal_id="a_little"))
-        ends[prepared.hand.name] = np.array(
-            [result.position[name] for name in prepared.hand.actuator_names]
-        )
-
-
-@pytest.fixture(scope="module")
-def wired_ends(hands: dict[str, PreparedHand]) -> dict[str, np.ndarray]:
-    """Where the hands end on their wires, some moved at the same time."""
-    found: dict[str, np.ndarray] = {}
-
-    async def together() -> None:
-        limit = anyio.CapacityLimiter(AT_ONCE)
-
-        async def in_turn(prepared: PreparedHand) -> None:
-            async with limit:
-                await wired_end(prepared, found)
-
-        async with anyio.create_task_group() as group:
-            for prepared in hands.values():
-                group.start_soon(in_turn, prepared)
-
-    # On simulated time: a busy computer would miss deadlines of some of so many devices.
-    backend, options = simulated_time()
-    anyio.run(together, backend=backend, backend_options=options)
-    return found
+        return np.array([result.position[name] for name in prepared.hand.actuator_names])
 
 
 def end_of(headless: HeadlessHand) -> np.ndarray:
@@ -104,9 +78,7 @@ def test_every_hand_has_emulated_devices(hands: dict[str, PreparedHand]) -> None
 @pytest.mark.samples("robotiq_2f_85", "schunk_svh", "qb_softhand", "wsg50", "robotiq_3f")
 @pytest.mark.timeout(150)
 @pytest.mark.parametrize("name", HANDS)
-def test_the_same_goal_ends_at_the_same_place(
-    name: str, hands: dict[str, PreparedHand], wired_ends: dict[str, np.ndarray]
-) -> None:
+def test_the_same_goal_ends_at_the_same_place(name: str, hands: dict[str, PreparedHand]) -> None:
     prepared = hands[name]
     hand, library, settings = prepared.hand, prepared.library, prepared.settings
     play = KinematicPlay(hand, settings.period)
@@ -114,5 +86,8 @@ def test_the_same_goal_ends_at_the_same_place(
     simulation = make_simulation(hand, SimOptions(), hand.actuator_names, settings.period)
     dynamic = end_of(HeadlessHand(hand, library, settings, simulation))
     assert dynamic == pytest.approx(kinematic, abs=TOLERANCE)
-    assert wired_ends[name] == pytest.approx(kinematic, abs=TOLERANCE)
-    assert wired_ends[name] == pytest.approx(dynamic, abs=TOLERANCE)
+    # On simulated time: a busy computer would miss deadlines of its devices.
+    backend, options = simulated_time()
+    emulated = anyio.run(wired_end, prepared, backend=backend, backend_options=options)
+    assert emulated == pytest.approx(kinematic, abs=TOLERANCE)
+    assert emulated == pytest.approx(dynamic, abs=TOLERANCE)

@@ -15,7 +15,6 @@ from rtee.hand.model import Hand
 from rtee.objects.shape import Table
 from rtee.planning.closing import ActionPath, Closure
 from rtee.planning.objects import read_object
-from rtee.planning.plan import plan_grasps
 from rtee.planning.planner import Planner
 from rtee.planning.result import Contact
 from rtee.planning.search import Search
@@ -115,13 +114,12 @@ def test_soft_servos_lower_the_score() -> None:
 def test_fingers_that_come_late_are_no_contacts_of_the_plan() -> None:
     # An L10's "Grasp" meets this cylinder with thumb and index, which do not oppose each other.
     library = load_actions(ROOT / "config/linkerhand_l10")
-    ranking = plan_grasps(
-        library.hand, library, read_object("cylinder:0.025x0.12"), table=ON_TABLE, compose=False
-    )
-    first = ranking.plans[0]
-    assert first.force is not None
-    assert first.action != "Grasp"
-    assert all(plan.score < first.score for plan in ranking.plans if plan.action == "Grasp")
+    thing = read_object("cylinder:0.025x0.12")
+    planner = Planner(library.hand, thing, table=ON_TABLE, openings=library.openings)
+    pinch = planner.plan([library.find("PinchTight", ("index", "thumb"))])[0]
+    grasp = planner.plan([library.find("Grasp")])[0]
+    assert pinch[0].force is not None
+    assert all(plan.score < pinch[0].score for plan in grasp)
 
 
 def test_fingers_that_slide_along_an_object_do_not_hold_it() -> None:

@@ -38,7 +38,7 @@ def test_tips_meet_where_the_persons_do(hand: str, finger: str) -> None:
 
 def test_the_way_into_a_pinch_and_out_has_no_jump() -> None:
     retargeter = Retargeter.of("leap_hand")
-    distances = np.concatenate([np.linspace(0.1, 0.015, 120), np.linspace(0.015, 0.1, 120)])
+    distances = np.concatenate([np.linspace(0.06, 0.015, 64), np.linspace(0.015, 0.06, 64)])
     answers = []
     for k, distance in enumerate(distances):
         points = HUMAN.points(pinch=(1, float(distance)))

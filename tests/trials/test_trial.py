@@ -31,7 +31,7 @@ from rtee.trials import variation as variation_module
 from rtee.trials.bench import bench, recorder_for
 from rtee.trials.grasp_placement import Places
 from rtee.trials.result import OBJECTS
-from rtee.trials.robust_places import robust_places
+from rtee.trials.robust_places import misfit, robust_places
 from rtee.trials.store import (
     FILE_NAME,
     from_document,
@@ -96,9 +96,13 @@ def test_no_finger_has_surely_grasped_where_the_empty_hands_tips_would_press_on_
     assert said == [(True, True, False, ())]
 
 
-def test_the_same_trial_gives_the_same_result(held: TrialResult) -> None:
+def test_the_same_trial_gives_the_same_result_and_the_recorder_drops_nothing(
+    tmp_path: Path, held: TrialResult
+) -> None:
     ready = bench(GRIPPER)
-    assert run_trial(ready, BALL) == held
+    with recorder_for(ready, tmp_path) as recorder:
+        assert run_trial(ready, BALL, observers=[recorder]) == held
+    assert recorder.dropped == 0
 
 
 def test_what_is_wider_than_the_gripper_does_not_fit() -> None:
@@ -110,9 +114,9 @@ def test_what_is_wider_than_the_gripper_does_not_fit() -> None:
 
 
 def test_what_is_wider_than_the_gripper_at_its_largest_does_not_fit_either() -> None:
-    once = attempt(GRIPPER, Trial("Grasp", object="sphere:0.04", places=1))
+    library, ball = bench(GRIPPER).library, read_object("sphere:0.04", 0.1)
+    assert not misfit(library, library.find("Grasp", ()), ball, variations=0)
     varied = attempt(GRIPPER, Trial("Grasp", object="sphere:0.04", variations=1))
-    assert once.fits
     assert not varied.fits
     assert "88 mm wide" in varied.reason
 
@@ -339,13 +343,6 @@ def test_a_resumed_sweep_finds_what_an_uninterrupted_one_does(tmp_path: Path) ->
         outcome = CliRunner().invoke(app_of(try_), [*command, "--out", str(path)])
         assert outcome.exit_code == 0, outcome.output
     assert parts.read_text() == whole.read_text()
-
-
-def test_the_recorder_drops_nothing(tmp_path: Path) -> None:
-    ready = bench(GRIPPER)
-    with recorder_for(ready, tmp_path) as recorder:
-        run_trial(ready, BALL, observers=[recorder])
-    assert recorder.dropped == 0
 
 
 @pytest.mark.parametrize("name", hand_names())
