@@ -147,6 +147,7 @@ def practised(small: Hand, every: int, walls: dict[int, float] | None = None) ->
     return busy
 
 
+@pytest.mark.samples("0.05-on_contact1", "0.15-on_contact0")
 @pytest.mark.parametrize("on_contact", [{}, STOP])
 @pytest.mark.parametrize("lasts", [0.05, 0.1, 0.15])
 def test_a_slow_device_that_has_not_got_its_first_reference_is_no_stall(

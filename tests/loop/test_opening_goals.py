@@ -285,6 +285,7 @@ async def test_goals_follow_what_a_device_says_of_itself_later() -> None:
 
 
 @pytest.mark.anyio
+@pytest.mark.samples("10")
 @pytest.mark.parametrize("every", [1, 10])
 async def test_a_plate_thinner_than_a_stall_is_felt_however_seldom_a_device_is_read(
     every: int,

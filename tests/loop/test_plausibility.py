@@ -91,6 +91,7 @@ class SlowLiar(KinematicDriver):
 
 
 @pytest.mark.anyio
+@pytest.mark.samples("0-*", "1-*")
 @pytest.mark.parametrize("every", [1, 20], ids=["repeated", "measured rarely"])
 @pytest.mark.parametrize("seed", range(4))
 async def test_no_plausible_answer_by_chance_counts_as_reached(

@@ -287,6 +287,7 @@ def test_a_touch_stops_all_fingers_at_the_first_contact(small: Hand) -> None:
     assert where < 0.9
 
 
+@pytest.mark.samples("0.06-1", "0.4-5", "1.2-20")
 @pytest.mark.parametrize("ticks", [1, 5, 20])
 @pytest.mark.parametrize("friction", [0.06, 0.4, 1.2])
 def test_an_effort_at_its_limit_is_not_that_of_free_motion(
