@@ -201,8 +201,10 @@ class Installation:
             if not link.is_symlink():
                 with failing("cannot be made", link):
                     link.symlink_to(UNIT)
-        # From here on, an old content is there again only if somebody has put it back.
-        manifest.before.clear()
+        # From here on, an old content is there again only if somebody has put it back. What other
+        # hands need, or this one no longer, is not replaced here.
+        for path in states:
+            manifest.before.pop(path, None)
         # Remove old files last, so that a failed installation still has them.
         states |= self._drop(hand, stale)
         return states

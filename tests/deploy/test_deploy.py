@@ -180,7 +180,7 @@ def killed_install(root: Path, hand: Path, renames: int, patch: pytest.MonkeyPat
     return False
 
 
-@pytest.mark.parametrize("then", ["the same", "another", "edited", "removed"])
+@pytest.mark.parametrize("then", ["the same", "another", "edited", "removed", "other hand"])
 def test_a_killed_installation_is_finished_by_the_next(
     root: Path, hand: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, then: str
 ) -> None:
@@ -197,6 +197,11 @@ def test_a_killed_installation_is_finished_by_the_next(
             settings.write_text(f"{first}title: Other\n")
         if then == "edited":
             copy.write_text("# mine\n")
+        if then == "other hand":
+            other = tmp_path / "other"
+            other.mkdir(exist_ok=True)
+            install(root, write_hand(other, name="claw"))
+            Installation(root).uninstall("claw")
         if then != "removed":
             states = install(root, hand, realtime=True)
             kept = [each for each, state in states.items() if state is FileState.KEPT]
