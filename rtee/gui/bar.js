@@ -98,8 +98,11 @@
     (place instanceof HTMLInputElement && TYPED.has(place.getAttribute("type") ?? "") &&
       !place.readOnly && place.getAttribute("aria-haspopup") !== "listbox");
   let left = null; // the field that Enter or Escape has just left; its keys are commands again
+  let stopped = false; // whether the Escape that is held down has stopped the hand
   addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (!event.repeat) stopped = false;
+    else if (event.key !== "Escape" || stopped) return; // in panic, Escape is held down, in a field, too
     const text = typing(event.target) && event.target !== left;
     if (text && ["Enter", "Escape"].includes(event.key)) {
       const field = left = event.target;
@@ -107,6 +110,7 @@
     }
     if (text || !(event.key === "Escape" || event.key.toLowerCase() === "s")) return;
     stop();
+    stopped = true;
     if (event.key === "Escape") return;
     event.preventDefault(); // do not type the letter
     event.stopImmediatePropagation(); // viser would move the camera

@@ -98,7 +98,7 @@
     refused = null;
     if (!typed || event.target !== typed || event.isComposing) return;
     if (event.key === "Escape") end();
-    else if (["Enter", "ArrowUp", "ArrowDown"].includes(event.key)) enter(true);
+    else if (["Enter", "ArrowUp", "ArrowDown"].includes(event.key)) enter(event.key === "Enter");
     else event.stopPropagation(); // see `begin`
   }, true);
   addEventListener("pointerdown", (event) => {

@@ -114,12 +114,20 @@ def _by_keys(*keys: str, at: str = "") -> Callable[[Window], None]:
     return press
 
 
+def _by_holding_escape(window: Window) -> None:
+    for _ in range(6):
+        window.page.keyboard.down("Escape")
+        window.page.wait_for_timeout(50)
+    window.page.keyboard.up("Escape")
+
+
 STOPS: dict[str, Callable[[Window], None]] = {
     "the mouse": lambda window: window.button("STOP").click(),
     "Enter on STOP": _by_keys("Tab", "Enter", at="STOP"),
     "Space on STOP": _by_keys("Shift+Tab", "Space", at="STOP"),
     "a key after Tab": _by_keys("Tab", "s"),
     "a key after Escape": _by_keys("Escape", "Escape"),
+    "Escape held down": _by_holding_escape,
 }
 """Ways to stop a hand, out of a field in which somebody types."""
 
@@ -144,6 +152,10 @@ def test_what_ends_a_motion_sends_nothing_that_was_only_typed(
         assert window.page.evaluate("window.stops") == stops + 1, how
         assert _sent(window) == before, how
         assert float(field.input_value()) == pytest.approx(0.2, abs=0.01), how
+    field.fill("0.7")
+    field.press("ArrowUp")
+    window.until(lambda: _sent(window) == [*before, "0.201"])
+    before = _sent(window)
     field.fill("0.7")
     window.button("Cancel").click()
     window.says(
