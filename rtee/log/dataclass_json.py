@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Sequence
 from typing import Any, Final, TypeVar
 
 from msgspec import ValidationError, convert, to_builtins
@@ -33,6 +34,18 @@ def _finite(value: Any) -> Any:
     return value
 
 
+def _sections(data: Any, place: str | None) -> Sequence[Any]:
+    """Return the sections at msgspec's name of a place; ``name[...]``: each one of a mapping."""
+    found = [data]
+    # Without dots, which separate names.
+    for step in place.replace("[...]", ".*").split(".") if place else ():
+        if step == "*":
+            found = [one for section in found for one in section.values()]
+        else:
+            found = [section[step] for section in found]
+    return found
+
+
 def from_json(text: str | bytes, kind: type[T]) -> T:
     """Return the dataclass in a text that `to_json` wrote; `LogError` if it does not fit."""
     try:
@@ -44,9 +57,10 @@ def from_json(text: str | bytes, kind: type[T]) -> T:
                 # Older recordings may have fields that no longer exist.
                 if (unknown := _UNKNOWN.fullmatch(str(error))) is None:
                     raise
-                section = data
-                for key in unknown[2].split(".") if unknown[2] else ():
-                    section = section[key]
-                del section[unknown[1]]
-    except (ValueError, TypeError, LookupError, RecursionError) as error:
+                old = [s for s in _sections(data, unknown[2]) if unknown[1] in s]
+                if not old:
+                    raise
+                for section in old:
+                    del section[unknown[1]]
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         raise LogError(f"{kind.__name__} cannot be read from JSON: {error}") from error

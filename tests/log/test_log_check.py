@@ -33,8 +33,9 @@ from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.log import Entry, JointSeries, Recorder, Recording, read, reader
 from rtee.log.check import TOPICS, check
+from rtee.log.dataclass_json import from_json, to_json
 from rtee.log.export import tables
-from rtee.log.layout import STATE, library_name
+from rtee.log.layout import STATE, Replayable, library_name
 from rtee.loop import contact_rules
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
@@ -439,6 +440,18 @@ async def test_what_cannot_be_recomputed_is_said(moved: Recording) -> None:
     broken = {"replay.json": b'{"settings": 3}'}
     with pytest.raises(LogError, match="Replayable cannot be read"):
         check(replace(moved, attachments=broken))
+
+
+def test_fields_that_no_longer_exist_are_passed_over() -> None:
+    dynamics = {"first": ActuatorDynamics(dry_friction=0.3), "second": ActuatorDynamics(kp=2.0)}
+    whole = Replayable(LoopSettings(), (), dynamics=dynamics)
+    old = json.loads(to_json(whole))
+    for section in (old, old["settings"], *old["dynamics"].values()):
+        section["gone"] = 1
+    assert from_json(json.dumps(old), Replayable) == whole
+    old["dynamics"]["first"] = {"gone` - at `$.settings": 1}  # named as if it were elsewhere
+    with pytest.raises(LogError, match="Replayable cannot be read"):
+        from_json(json.dumps(old), Replayable)
 
 
 async def test_nonsense_in_a_recording_is_said(moved: Recording) -> None:
