@@ -332,7 +332,7 @@ def _hands_there(endpoint: str | None, word: str) -> Sequence[str]:
     from rtee.remote.find import hands_at
 
     try:
-        return hands_at(endpoint, _SILENCE)
+        return hands_at(endpoint, _LOOK)
     # The command, which looks there itself, says what is wrong.
     except (RteeError, OSError):
         return ()
@@ -579,6 +579,10 @@ T = TypeVar("T")
 _SILENCE = 3.0
 """Time after which a command says that it waits for a hand's answer [s], which takes milliseconds;
 it gives up after some ten seconds."""
+
+_LOOK = 1.0
+"""Time for a look at an endpoint for hands [s], which takes milliseconds in a network and up to
+half a second over the internet. It comes before the wait that is told."""
 
 
 def with_hand(

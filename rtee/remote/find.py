@@ -130,21 +130,26 @@ async def _elsewhere(hand: str | None, endpoint: str, within: float | None) -> F
 def hands_at(endpoint: str, within: float | None = None) -> list[str]:
     """Return the names of the hands at an endpoint; none if nothing answers.
 
-    Blocks for milliseconds, at most the time for opening a session [s], by default 10 s.
+    Blocks for milliseconds where a hand answers, at most for the given time for the session and
+    once more for its answers [s]; by default for 10 s and 3 s.
     """
     try:
         session = open_client([endpoint], within)
     except NoHand:
         return []
     try:
-        return alive(session)
+        return alive(session, within)
     finally:
         close_session(session)
 
 
-def alive(session: zenoh.Session) -> list[str]:
-    """Return the names of the hands that a session reaches; blocks until all have answered."""
-    tokens = session.liveliness().get(network_key("*", ALIVE), timeout=_ANSWER_WITHIN)
+def alive(session: zenoh.Session, within: float | None = None) -> list[str]:
+    """Return the names of the hands that a session reaches; blocks until all have answered.
+
+    At most for the given time [s], by default 3 s.
+    """
+    limit = _ANSWER_WITHIN if within is None else within
+    tokens = session.liveliness().get(network_key("*", ALIVE), timeout=limit)
     return [str(reply.ok.key_expr).split("/")[1] for reply in tokens if reply.ok is not None]
 
 
