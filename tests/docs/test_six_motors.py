@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -95,6 +96,7 @@ def test_its_code_is_tidy(package: Path, repository: Path) -> None:
 def test_the_hand_runs_on_its_emulator(
     package: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    package = Path(shutil.copytree(package, tmp_path / "hexa_hand"))
     run(package, *RTEE, "extract", "hexa_hand", "--save")
     monkeypatch.syspath_prepend(str(package))
     monkeypatch.chdir(package)

@@ -38,9 +38,14 @@ def _copy(suite: type[DriverContract], name: str) -> FunctionType:
 
 
 def few_faults(suite: Suite) -> Suite:
-    """Mark most faults of the wire as heavy, as the decoders are fuzzed too; a class decorator."""
+    """Mark as heavy the faults of the wire that decoders are fuzzed with; a class decorator.
+
+    Left are frames that are wrong, late, lost, or there twice.
+    """
     copied = _copy(suite, "test_a_faulty_wire_is_survived")
-    suite.test_a_faulty_wire_is_survived = pytest.mark.samples("corrupt", "delay", "drop")(copied)  # type: ignore[method-assign]
+    suite.test_a_faulty_wire_is_survived = pytest.mark.samples(
+        "corrupt", "delay", "drop", "duplicate"
+    )(copied)  # type: ignore[method-assign]
     return suite
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rtee.retarget import LAYOUTS, Layout, Retargeter, Side, TrackingError
+from rtee.retarget.retargeter import _MEET
 from rtee.testing.human_hand import HumanHand
 
 HUMAN = HumanHand()
@@ -38,7 +39,8 @@ def test_tips_meet_where_the_persons_do(hand: str, finger: str) -> None:
 
 def test_the_way_into_a_pinch_and_out_has_no_jump() -> None:
     retargeter = Retargeter.of("leap_hand")
-    distances = np.concatenate([np.linspace(0.06, 0.015, 64), np.linspace(0.015, 0.06, 64)])
+    far = _MEET[1] + 0.015  # beyond where the pinch begins to count
+    distances = np.concatenate([np.linspace(far, 0.015, 85), np.linspace(0.015, far, 85)])
     answers = []
     for k, distance in enumerate(distances):
         points = HUMAN.points(pinch=(1, float(distance)))

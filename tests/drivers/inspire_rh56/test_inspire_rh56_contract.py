@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, ClassVar
 
-import pytest
-
 from rtee.drivers.inspire_rh56.codec import Register, table
 from rtee.drivers.inspire_rh56.options import FORCES
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
 from tests.drivers.objects import place_in_rh56
+from tests.drivers.suites import same_wire
 
 ACTUATORS = (
     actuator("thumb_proximal_yaw_joint", 0.0, 1.308, effort=0.6),
@@ -60,7 +59,7 @@ class TestModbusRtu(DriverContract):
     case: ClassVar[DeviceCase] = replace(CASE, options={**CASE.options, "protocol": "modbus"})
 
 
-@pytest.mark.heavy
+@same_wire
 class TestModbusTcp(DriverContract):
     case: ClassVar[DeviceCase] = replace(
         CASE,
