@@ -232,7 +232,9 @@ class _Command(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments; raise `typer.BadParameter` for those that are refused."""
         empty = any(word == "" or re.fullmatch("--[a-z-]+=", word) for word in args)
-        words = self._with_hand(self._with_wait(args), finished=not ctx.resilient_parsing)
+        words = self._with_hand(
+            self._with_wait(args), finished=not (ctx.resilient_parsing or "--help" in args)
+        )
         rest = super().parse_args(ctx, words)
         # A line that a shell completes is not finished.
         if ctx.resilient_parsing:
@@ -581,8 +583,8 @@ _SILENCE = 3.0
 it gives up after some ten seconds."""
 
 _LOOK = 1.0
-"""Time for a look at an endpoint for hands [s], which takes milliseconds in a network and up to
-half a second over the internet. It comes before the wait that is told."""
+"""Time for a look at an endpoint for hands [s], twice at most: one in the same network answers in
+milliseconds, and no sentence tells of this wait."""
 
 
 def with_hand(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,12 +13,28 @@ from rtee.remote.blocking import BlockingHand
 from .marks import in_a_browser
 from .window import Window, enter
 
+if TYPE_CHECKING:
+    from playwright.sync_api import Locator
+
 pytestmark = in_a_browser
 
 
 def _sent(window: Window) -> list[str]:
     """Return the values and clicks that the page has sent."""
     return list(window.page.evaluate("window.sent"))
+
+
+def _jogged(window: Window, other: BlockingHand, to: str) -> tuple[Locator, Locator]:
+    """Jog the open gripper to a position [rad]; return the box that holds it, and the field."""
+    other.open()
+    window.tab("Teach")
+    hold = window.field("Jog (holds the hand)")
+    hold.click()
+    window.status("control: this window")
+    field = window.field("finger_joint [rad]")
+    enter(field, to)
+    window.until(lambda: abs(other.state().position[0] - float(to)) <= 0.005)
+    return hold, field
 
 
 @pytest.mark.samples("", "abc", "-5", "900")
@@ -78,14 +95,7 @@ def test_a_field_without_a_slider_has_its_range_too(window: Window) -> None:
 
 
 def test_a_jogged_hand_goes_only_to_what_was_entered(window: Window, other: BlockingHand) -> None:
-    other.open()
-    window.tab("Teach")
-    hold = window.field("Jog (holds the hand)")
-    hold.click()
-    window.status("control: this window")
-    field = window.field("finger_joint [rad]")
-    enter(field, "0.6")
-    window.until(lambda: abs(other.state().position[0] - 0.6) <= 0.005)
+    hold, field = _jogged(window, other, "0.6")
     assert not window.page.locator("#rtee-refused").count(), "refused, though it was entered"
     before = _sent(window)
     field.select_text()
@@ -135,14 +145,7 @@ STOPS: dict[str, Callable[[Window], None]] = {
 def test_what_ends_a_motion_sends_nothing_that_was_only_typed(
     window: Window, other: BlockingHand
 ) -> None:
-    other.open()
-    window.tab("Teach")
-    hold = window.field("Jog (holds the hand)")
-    hold.click()
-    window.status("control: this window")
-    field = window.field("finger_joint [rad]")
-    enter(field, "0.2")
-    window.until(lambda: abs(other.state().position[0] - 0.2) <= 0.005)
+    hold, field = _jogged(window, other, "0.2")
     before = _sent(window)
     for how, stop in STOPS.items():
         stops = window.page.evaluate("window.stops")

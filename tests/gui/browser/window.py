@@ -225,7 +225,7 @@ def enter(field: Locator, text: str) -> None:
     """Type something into a number field, and enter it; wait until the page has left the field."""
     field.fill(text)
     field.press("Enter")
-    # It leaves a moment later, and what were typed by then would count as left, too.
+    # It leaves a moment later, and what is typed by then would count as left, too.
     field.evaluate("field => new Promise((done) => setTimeout(done))")
 
 
